@@ -87,6 +87,7 @@ ecosystem:
 
 generate:
 	@$(INSTALL) test visual
+	$(BIN)/python -m fourbar_codegen.layout
 	$(BIN)/fourbar generate four_bar -o generated
 
 clean:

@@ -67,7 +67,7 @@ def measure_model(family: str, n: int, *, reference: bool, rounds: int) -> dict[
     row: dict[str, Any] = {"family": family, "n": n, "speeds": compiled.n_u}
     row["operations"] = compiled.manifest["operations"]["dynamics"]
     counts = compiled.manifest["operations"].items()
-    row["operations of derivatives"] = sum(count for name, count in counts if name.startswith("sensitivity"))
+    row["operations of derivatives"] = sum(count for name, count in counts if name.startswith("state_partials"))
     if not reference:
         (row["compiled us"],) = (1e6 * seconds for seconds in compare(own, rounds=rounds))
         (row["to module s"],) = compare(made, rounds=3)

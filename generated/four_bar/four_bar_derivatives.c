@@ -227,7 +227,7 @@ static void motion(double t, const double *restrict x, const double *restrict co
 }
 
 /* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
-static void sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void state_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_jacobian, double *restrict residual_jacobian)
 {
@@ -399,7 +399,7 @@ static void sensitivity(double t, const double *restrict x, const double *restri
 }
 
 /* The same derivatives with respect to the parameters. */
-static void parameter_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void parameter_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_parameter_jacobian, double *restrict residual_parameter_jacobian)
 {
@@ -572,7 +572,7 @@ static void parameter_sensitivity(double t, const double *restrict x, const doub
 }
 
 /* The same derivatives with respect to the inputs. */
-static void input_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void input_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_input_jacobian, double *restrict residual_input_jacobian)
 {
@@ -599,7 +599,7 @@ static void input_sensitivity(double t, const double *restrict x, const double *
 }
 
 /* d/dp of the inputs' expressions; zero without one. */
-static void default_input_sensitivity(double t, const double *restrict constants,
+static void default_input_partials(double t, const double *restrict constants,
     double *restrict default_input_jacobian)
 {
     (void)t;
@@ -615,7 +615,7 @@ static void default_input_sensitivity(double t, const double *restrict constants
 }
 
 /* d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b. */
-static void constraint_sensitivity(double t, const double *restrict x, const double *restrict constants,
+static void constraint_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict velocity_jacobian, double *restrict position_input_jacobian,
     double *restrict velocity_input_jacobian)
 {
@@ -658,14 +658,222 @@ static void constraint_sensitivity(double t, const double *restrict x, const dou
     velocity_input_jacobian[1] = 0.0;
 }
 
-const fb_derivatives four_bar_derivatives = {
+/* d/du' and d/dlambda of z'. */
+static void state_rate_partials(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict state_rate_acceleration_jacobian, double *restrict state_rate_multiplier_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)state_rate_acceleration_jacobian;
+    (void)state_rate_multiplier_jacobian;
+}
+
+/* d/dx of the outputs with u' and lambda held. */
+static void output_state_partials(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict output_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)output_jacobian;
+}
+
+/* d/dp of the same. */
+static void output_parameter_partials(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict output_parameter_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)output_parameter_jacobian;
+}
+
+/* d/dr of the same. */
+static void output_input_partials(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict output_input_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)output_input_jacobian;
+}
+
+/* d/du' and d/dlambda of the outputs. */
+static void output_solution_partials(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict output_acceleration_jacobian, double *restrict output_multiplier_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)output_acceleration_jacobian;
+    (void)output_multiplier_jacobian;
+}
+
+static const fb_array drawing_results[] = {{"points", 11, 3}, {"forces", 1, 3}};
+static int call_drawing(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    drawing(at->t, at->x, at->constants, at->r, results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array motion_results[] = {{"coordinate_accelerations", 3, -1}, {"point_velocities", 11, 3},
+    {"point_accelerations", 11, 3}};
+static int call_motion(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    motion(at->t, at->x, at->constants, at->r, at->accelerations, results[0], results[1], results[2]);
+    return FB_OK;
+}
+
+static const fb_array state_partials_results[] = {{"coordinate_rate_jacobian", 3, 6}, {"residual_jacobian", 5,
+    6}};
+static int call_state_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    state_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0],
+        results[1]);
+    return FB_OK;
+}
+
+static const fb_array parameter_partials_results[] = {{"coordinate_rate_parameter_jacobian", 3, 8},
+    {"residual_parameter_jacobian", 5, 8}};
+static int call_parameter_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    parameter_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0],
+        results[1]);
+    return FB_OK;
+}
+
+static const fb_array input_partials_results[] = {{"coordinate_rate_input_jacobian", 3, 1},
+    {"residual_input_jacobian", 5, 1}};
+static int call_input_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    input_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0],
+        results[1]);
+    return FB_OK;
+}
+
+static const fb_array default_input_partials_results[] = {{"default_input_jacobian", 1, 8}};
+static int call_default_input_partials(const fb_at *at, const double *const *arguments,
+    double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    default_input_partials(at->t, at->constants, results[0]);
+    return FB_OK;
+}
+
+static const fb_array constraint_partials_results[] = {{"velocity_jacobian", 2, 3},
+    {"position_input_jacobian", 2, 1}, {"velocity_input_jacobian", 2, 1}};
+static int call_constraint_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    constraint_partials(at->t, at->x, at->constants, at->r, results[0], results[1], results[2]);
+    return FB_OK;
+}
+
+static const fb_array state_rate_partials_results[] = {{"state_rate_acceleration_jacobian", 0, 3},
+    {"state_rate_multiplier_jacobian", 0, 2}};
+static int call_state_rate_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    state_rate_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0],
+        results[1]);
+    return FB_OK;
+}
+
+static const fb_array output_state_partials_results[] = {{"output_jacobian", 0, 6}};
+static int call_output_state_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    output_state_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0]);
+    return FB_OK;
+}
+
+static const fb_array output_parameter_partials_results[] = {{"output_parameter_jacobian", 0, 8}};
+static int call_output_parameter_partials(const fb_at *at, const double *const *arguments,
+    double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    output_parameter_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers,
+        results[0]);
+    return FB_OK;
+}
+
+static const fb_array output_input_partials_results[] = {{"output_input_jacobian", 0, 1}};
+static int call_output_input_partials(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    output_input_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0]);
+    return FB_OK;
+}
+
+static const fb_array output_solution_partials_results[] = {{"output_acceleration_jacobian", 0, 3},
+    {"output_multiplier_jacobian", 0, 2}};
+static int call_output_solution_partials(const fb_at *at, const double *const *arguments,
+    double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    output_solution_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers,
+        results[0], results[1]);
+    return FB_OK;
+}
+
+const fb_part four_bar_derivatives = {
     .abi_version = FB_ABI_VERSION,
-    .struct_size = sizeof(fb_derivatives),
-    .drawing = drawing,
-    .motion = motion,
-    .sensitivity = sensitivity,
-    .parameter_sensitivity = parameter_sensitivity,
-    .input_sensitivity = input_sensitivity,
-    .default_input_sensitivity = default_input_sensitivity,
-    .constraint_sensitivity = constraint_sensitivity,
+    .struct_size = sizeof(fb_part),
+    .functions = {
+        [FB_DRAWING] = {call_drawing, FB_NEEDS_STATE, 0, 2, NULL, drawing_results},
+        [FB_MOTION] = {call_motion, FB_NEEDS_STATE | FB_NEEDS_ACCELERATIONS, 0, 3, NULL, motion_results},
+        [FB_STATE_PARTIALS] = {call_state_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS
+            | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, state_partials_results},
+        [FB_PARAMETER_PARTIALS] = {call_parameter_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, parameter_partials_results},
+        [FB_INPUT_PARTIALS] = {call_input_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS
+            | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, input_partials_results},
+        [FB_DEFAULT_INPUT_PARTIALS] = {call_default_input_partials, 0, 0, 1, NULL,
+            default_input_partials_results},
+        [FB_CONSTRAINT_PARTIALS] = {call_constraint_partials, FB_NEEDS_STATE, 0, 3, NULL,
+            constraint_partials_results},
+        [FB_STATE_RATE_PARTIALS] = {call_state_rate_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, state_rate_partials_results},
+        [FB_OUTPUT_STATE_PARTIALS] = {call_output_state_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 1, NULL, output_state_partials_results},
+        [FB_OUTPUT_PARAMETER_PARTIALS] = {call_output_parameter_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 1, NULL, output_parameter_partials_results},
+        [FB_OUTPUT_INPUT_PARTIALS] = {call_output_input_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 1, NULL, output_input_partials_results},
+        [FB_OUTPUT_SOLUTION_PARTIALS] = {call_output_solution_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
+            FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, output_solution_partials_results},
+    },
 };

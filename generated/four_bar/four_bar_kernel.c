@@ -358,11 +358,11 @@ static void invariant_correction(fb_real t, const fb_real *restrict q, const fb_
 }
 
 /* K v, the change of the coordinates for a change v of the speeds' integrals. */
-static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
+static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, const fb_real *restrict change, fb_real *restrict coordinate_change)
 {
     (void)t;
-    (void)q;
+    (void)x;
     (void)constants;
     (void)r;
     const fb_real u1_rate = change[0];
@@ -371,6 +371,20 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
     coordinate_change[1] = u2_rate;
     const fb_real u3_rate = change[2];
     coordinate_change[2] = u3_rate;
+}
+
+/* z', with u' and lambda given. */
+static void state_rates(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
+    const fb_real *restrict r, const fb_real *restrict accelerations, const fb_real *restrict multipliers,
+    fb_real *restrict state_rates)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)state_rates;
 }
 
 #ifdef FB_SIDE_BY_SIDE
@@ -523,6 +537,164 @@ static void output(double t, const double *restrict x, const double *restrict co
     (void)multipliers;
     (void)outputs;
 }
+
+/* Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds. */
+static void unknown_forces(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict forces, double *restrict force_effect,
+    double *restrict force_effect_jacobian, double *restrict auxiliary_forcing,
+    double *restrict auxiliary_forcing_jacobian, double *restrict auxiliary_mass,
+    double *restrict auxiliary_constraint_jacobian)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)forces;
+    (void)force_effect_jacobian;
+    (void)auxiliary_forcing;
+    (void)auxiliary_forcing_jacobian;
+    (void)auxiliary_mass;
+    (void)auxiliary_constraint_jacobian;
+    force_effect[0] = 0.0;
+    force_effect[1] = 0.0;
+    force_effect[2] = 0.0;
+}
+
+#ifndef FB_RHS_ONLY
+static const fb_array default_inputs_results[] = {{"inputs", 1, -1}};
+static int call_default_inputs(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    default_inputs(at->t, at->constants, results[0]);
+    return FB_OK;
+}
+
+static const fb_array breakpoints_results[] = {{"breakpoints", 0, -1}};
+static int call_breakpoints(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    breakpoints(at->constants, results[0]);
+    return FB_OK;
+}
+
+static const fb_array position_results[] = {{"position_constraints", 2, -1}, {"position_jacobian", 2, 3}};
+static int call_position(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    position(at->t, at->x, at->constants, at->r, results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array velocity_results[] = {{"constraint_jacobian", 2, 3}, {"velocity_bias", 2, -1}};
+static int call_velocity(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    velocity(at->t, at->x, at->constants, at->r, results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array constraint_violation_results[] = {{"position_violation", 2, -1}, {"velocity_violation",
+    2, -1}};
+static int call_constraint_violation(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    constraint_violation(at->t, at->x, at->constants, at->r, results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array constraint_scale_results[] = {{"position_scale", 2, -1}, {"position_violation_scale", 2,
+    -1}, {"velocity_violation_scale", 2, -1}};
+static int call_constraint_scale(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    constraint_scale(at->t, at->x, at->constants, at->r, results[0], results[1], results[2]);
+    return FB_OK;
+}
+
+static const fb_array invariant_correction_results[] = {{"invariant_correction", 3, -1}};
+static int call_invariant_correction(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    invariant_correction(at->t, at->x, at->constants, at->r, results[0]);
+    return FB_OK;
+}
+
+static const fb_array coordinate_change_arguments[] = {{"change", 3, -1}};
+static const fb_array coordinate_change_results[] = {{"coordinate_change", 3, -1}};
+static int call_coordinate_change(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    coordinate_change(at->t, at->x, at->constants, at->r, arguments[0], results[0]);
+    return FB_OK;
+}
+
+static const fb_array energy_results[] = {{"energies", 2, -1}};
+static int call_energy(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    energy(at->t, at->x, at->constants, at->r, results[0]);
+    return FB_OK;
+}
+
+static const fb_array output_results[] = {{"outputs", 0, -1}};
+static int call_output(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    output(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0]);
+    return FB_OK;
+}
+
+static const fb_array state_rates_results[] = {{"state_rates", 0, -1}};
+static int call_state_rates(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    state_rates(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0]);
+    return FB_OK;
+}
+
+static const fb_array unknown_forces_arguments[] = {{"forces", 0, -1}};
+static const fb_array unknown_forces_results[] = {{"force_effect", 3, -1}, {"force_effect_jacobian", 3, 0},
+    {"auxiliary_forcing", 0, -1}, {"auxiliary_forcing_jacobian", 0, 0}, {"auxiliary_mass", 0, 3},
+    {"auxiliary_constraint_jacobian", 0, 2}};
+static int call_unknown_forces(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    unknown_forces(at->t, at->x, at->constants, at->r, arguments[0], results[0], results[1], results[2],
+        results[3], results[4], results[5]);
+    return FB_OK;
+}
+
+static int call_dynamics(const fb_at *, const double *const *, double *const *, void *);
+static const fb_array dynamics_results[5];
+static const fb_function own_functions[FB_N_ROLES] = {
+    [FB_DYNAMICS] = {call_dynamics, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 0, 5, NULL, dynamics_results},
+    [FB_DEFAULT_INPUTS] = {call_default_inputs, 0, 0, 1, NULL, default_inputs_results},
+    [FB_BREAKPOINTS] = {call_breakpoints, 0, 0, 1, NULL, breakpoints_results},
+    [FB_POSITION] = {call_position, 0, 0, 2, NULL, position_results},
+    [FB_VELOCITY] = {call_velocity, FB_NEEDS_STATE, 0, 2, NULL, velocity_results},
+    [FB_CONSTRAINT_VIOLATION] = {call_constraint_violation, FB_NEEDS_STATE, 0, 2, NULL,
+        constraint_violation_results},
+    [FB_CONSTRAINT_SCALE] = {call_constraint_scale, FB_NEEDS_STATE, 0, 3, NULL, constraint_scale_results},
+    [FB_INVARIANT_CORRECTION] = {call_invariant_correction, 0, 0, 1, NULL, invariant_correction_results},
+    [FB_COORDINATE_CHANGE] = {call_coordinate_change, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 1, 1,
+        coordinate_change_arguments, coordinate_change_results},
+    [FB_ENERGY] = {call_energy, FB_NEEDS_STATE, 0, 1, NULL, energy_results},
+    [FB_OUTPUT] = {call_output, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
+        FB_NEEDS_MULTIPLIERS, 0, 1, NULL, output_results},
+    [FB_STATE_RATES] = {call_state_rates, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
+        FB_NEEDS_MULTIPLIERS, 0, 1, NULL, state_rates_results},
+    [FB_UNKNOWN_FORCES] = {call_unknown_forces, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 1, 6,
+        unknown_forces_arguments, unknown_forces_results},
+};
+#endif
 
 #include "fourbar_model.h"
 #endif

@@ -19,7 +19,7 @@
 #include <math.h>
 
 /* The gradient by x, p and r of the weighted sum of q', and f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
-static void pullback(double t, const double *restrict x, const double *restrict constants,
+static void residual_vjp(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     const double *restrict weights, double *restrict gradient)
 {
@@ -195,7 +195,7 @@ static void pullback(double t, const double *restrict x, const double *restrict 
 }
 
 /* The gradient by x, p and r of the weighted sum of the results of constraint_violation. */
-static void constraint_pullback(double t, const double *restrict x, const double *restrict constants,
+static void constraint_vjp(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict weights, double *restrict gradient)
 {
     (void)t;
@@ -262,8 +262,8 @@ static void constraint_pullback(double t, const double *restrict x, const double
     gradient[14] = 0.0;
 }
 
-/* What variation_columns needs of a state. */
-static void variation_factors(double t, const double *restrict x, const double *restrict constants,
+/* What residual_jvp_columns needs of a state. */
+static void residual_jvp_factors(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict factors)
 {
@@ -415,8 +415,8 @@ static void variation_factors(double t, const double *restrict x, const double *
     factors[74] = z46;
 }
 
-/* What constraint_variation_columns needs of a state. */
-static void constraint_variation_factors(double t, const double *restrict x, const double *restrict constants,
+/* What constraint_jvp_columns needs of a state. */
+static void constraint_jvp_factors(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict factors)
 {
     (void)t;
@@ -463,7 +463,7 @@ static void constraint_variation_factors(double t, const double *restrict x, con
 }
 
 /* q', and f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held, differentiated along a direction of x, p and r. */
-static void variation_columns(const double *restrict constants, const double *restrict factors,
+static void residual_jvp_columns(const double *restrict constants, const double *restrict factors,
     const fb_many *restrict direction, fb_many *restrict coordinate_rate_variation,
     fb_many *restrict residual_variation)
 {
@@ -626,20 +626,20 @@ static void variation_columns(const double *restrict constants, const double *re
     residual_variation[4] = z47;
 }
 
-static void variation(double t, const double *restrict x, const double *restrict constants,
+static void residual_jvp(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers, int n,
     const double *restrict directions, double *restrict coordinate_rate_variation,
     double *restrict residual_variation)
 {
     double factors[75];
     fb_many direction[15], of_coordinate_rate_variation[3], of_residual_variation[5];
-    variation_factors(t, x, constants, r, accelerations, multipliers, factors);
-    fb_apply_columns(variation_columns, constants, factors, 15, direction, n, directions, 3,
+    residual_jvp_factors(t, x, constants, r, accelerations, multipliers, factors);
+    fb_apply_columns(residual_jvp_columns, constants, factors, 15, direction, n, directions, 3,
         of_coordinate_rate_variation, 5, of_residual_variation, coordinate_rate_variation, residual_variation);
 }
 
 /* The results of constraint_violation differentiated along a direction of x, p and r. */
-static void constraint_variation_columns(const double *restrict constants, const double *restrict factors,
+static void constraint_jvp_columns(const double *restrict constants, const double *restrict factors,
     const fb_many *restrict direction, fb_many *restrict position_variation,
     fb_many *restrict velocity_variation)
 {
@@ -699,22 +699,72 @@ static void constraint_variation_columns(const double *restrict constants, const
     velocity_variation[1] = z15;
 }
 
-static void constraint_variation(double t, const double *restrict x, const double *restrict constants,
+static void constraint_jvp(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, int n, const double *restrict directions, double *restrict position_variation,
     double *restrict velocity_variation)
 {
     double factors[19];
     fb_many direction[15], of_position_variation[2], of_velocity_variation[2];
-    constraint_variation_factors(t, x, constants, r, factors);
-    fb_apply_columns(constraint_variation_columns, constants, factors, 15, direction, n, directions, 2,
+    constraint_jvp_factors(t, x, constants, r, factors);
+    fb_apply_columns(constraint_jvp_columns, constants, factors, 15, direction, n, directions, 2,
         of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
 }
 
-const fb_variations FB_TABLE(variations) = {
+static const fb_array residual_vjp_arguments[] = {{"weights", 8, -1}};
+static const fb_array residual_vjp_results[] = {{"gradient", 15, -1}};
+static int call_residual_vjp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    residual_vjp(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, arguments[0],
+        results[0]);
+    return FB_OK;
+}
+
+static const fb_array constraint_vjp_arguments[] = {{"weights", 4, -1}};
+static const fb_array constraint_vjp_results[] = {{"gradient", 15, -1}};
+static int call_constraint_vjp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    constraint_vjp(at->t, at->x, at->constants, at->r, arguments[0], results[0]);
+    return FB_OK;
+}
+
+static const fb_array residual_jvp_arguments[] = {{"directions", 15, 8}};
+static const fb_array residual_jvp_results[] = {{"coordinate_rate_variation", 3, 8}, {"residual_variation", 5,
+    8}};
+static int call_residual_jvp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    residual_jvp(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, at->n_directions,
+        arguments[0], results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array constraint_jvp_arguments[] = {{"directions", 15, 8}};
+static const fb_array constraint_jvp_results[] = {{"position_variation", 2, 8}, {"velocity_variation", 2, 8}};
+static int call_constraint_jvp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    constraint_jvp(at->t, at->x, at->constants, at->r, at->n_directions, arguments[0], results[0],
+        results[1]);
+    return FB_OK;
+}
+
+const fb_part FB_TABLE(variations) = {
     .abi_version = FB_ABI_VERSION,
-    .struct_size = sizeof(fb_variations),
-    .pullback = pullback,
-    .constraint_pullback = constraint_pullback,
-    .variation = variation,
-    .constraint_variation = constraint_variation,
+    .struct_size = sizeof(fb_part),
+    .functions = {
+        [FB_RESIDUAL_VJP] = {call_residual_vjp, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
+            FB_NEEDS_MULTIPLIERS, 1, 1, residual_vjp_arguments, residual_vjp_results},
+        [FB_CONSTRAINT_VJP] = {call_constraint_vjp, FB_NEEDS_STATE, 1, 1, constraint_vjp_arguments,
+            constraint_vjp_results},
+        [FB_RESIDUAL_JVP] = {call_residual_jvp, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
+            FB_NEEDS_MULTIPLIERS, 1, 2, residual_jvp_arguments, residual_jvp_results},
+        [FB_CONSTRAINT_JVP] = {call_constraint_jvp, FB_NEEDS_STATE, 1, 2, constraint_jvp_arguments,
+            constraint_jvp_results},
+    },
 };

@@ -176,20 +176,20 @@ def _compiled_results(
     if d is not None:
         sensitivities = compiled.sensitivities(t, x, accelerations, multipliers, p, r)
         got |= {
-            "default_input_sensitivity": ([d.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
-            "constraint_sensitivity": (
+            "default_input_partials": ([d.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
+            "constraint_partials": (
                 [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
                 compiled.constraint_sensitivity(t, x, p, r),
             ),
-            "state_rate_sensitivity": (
+            "state_rate_partials": (
                 [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
                 compiled.state_rate_sensitivity(t, x, accelerations, multipliers, p, r),
             ),
-            "output_sensitivity": (
+            "output_state_partials": (
                 [d.output_jacobian, d.output_parameter_jacobian, d.output_input_jacobian],
                 compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[:3],
             ),
-            "output_solution_sensitivity": (
+            "output_solution_partials": (
                 [d.output_acceleration_jacobian, d.output_multiplier_jacobian],
                 compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[3:],
             ),
@@ -198,7 +198,7 @@ def _compiled_results(
                 [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
                 compiled.motion(t, x, accelerations, p, r),
             ),
-            "sensitivity": _sensitivities(d, values, sensitivities),
+            "state_partials": _sensitivities(d, values, sensitivities),
         }
     return {function: tuple(zip(results, arrays, strict=True)) for function, (results, arrays) in got.items()}
 

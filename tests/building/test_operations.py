@@ -49,5 +49,5 @@ def test_product_of_transposed_jacobian_and_vector_takes_at_most_five_times_the_
     """The cheap gradient principle, for all of x, p and r at once: W. Baur and V. Strassen, "The complexity of partial
     derivatives", Theoretical Computer Science 22 (1983)."""
     counted = operations(name)
-    assert counted["pullback"] <= 5 * (counted["prepare"] + counted["dynamics"])
-    assert counted["constraint_pullback"] <= 5 * (counted["prepare"] + counted["velocity"] + counted["position"])
+    assert counted["residual_vjp"] <= 5 * (counted["prepare"] + counted["dynamics"])
+    assert counted["constraint_vjp"] <= 5 * (counted["prepare"] + counted["velocity"] + counted["position"])

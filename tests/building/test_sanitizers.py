@@ -52,82 +52,63 @@ static double *doubles(const int n)
 
 static double evaluate(const fb_kernel *k, const double *p)
 {
-    const int n_x = k->n_x, n_y = k->n_u + k->n_l + k->n_z, n_n = k->n_l - k->n_c;
+    const int n_x = k->n_x, n[3] = {n_x, k->n_p, k->n_r};
     double *x = doubles(n_x), *c = doubles(k->n_constants), *r = doubles(k->n_r), *a = doubles(k->n_u);
-    double *l = doubles(k->n_l + k->n_i), *rates = doubles(n_x), *qs = doubles(k->n_q), *m = doubles(k->n_u * k->n_u);
-    double *f = doubles(k->n_u), *j = doubles(k->n_c * k->n_u), *g = doubles(k->n_c), *phi = doubles(k->n_h);
-    double *pq = doubles(k->n_h * k->n_q), *vq = doubles(k->n_c * k->n_q), *pr = doubles(k->n_h * k->n_r);
-    double *vr = doubles(k->n_c * k->n_r), *e = doubles(2), *o = doubles(k->n_o);
-    double *rp = doubles(k->n_r * k->n_p), *z = doubles(k->n_z), *za = doubles(k->n_z * k->n_u);
-    double *zl = doubles(k->n_z * k->n_l), *ya = doubles(k->n_o * k->n_u), *yl = doubles(k->n_o * k->n_l);
-    double *force = doubles(k->n_u), *by_n = doubles(k->n_u * n_n), *row = doubles(n_n), *row_by_n = doubles(n_n * n_n);
-    double *row_m = doubles(n_n * k->n_u), *row_j = doubles(n_n * k->n_c);
-    const int n[3] = {n_x, k->n_p, k->n_r};
-    const fb_derivatives *const d = k->derivatives;
-    fb_sensitivity *const of[3] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
-    fb_output_sensitivity *const of_outputs[3] = {d->output_sensitivity, d->output_parameter_sensitivity,
-                                                  d->output_input_sensitivity};
+    double *l = doubles(k->n_l), *rates = doubles(n_x);
     void *work = calloc(1, k->work_size);
     double sum = 0.0;
     k->prepare(p, c);
     k->default_inputs(0.5, c, r);
-    d->default_input_sensitivity(0.5, c, rp);
     k->rhs(0.5, x, c, r, rates, work);
     k->accelerations(0.5, x, c, r, a, l, work);
-    k->dynamics(0.5, x, c, r, qs, m, f, j, g);
-    k->position(0.5, x, c, r, phi, pq);
-    k->velocity(0.5, x, c, r, j, g);
-    k->constraint_violation(0.5, x, c, r, l, g);
-    k->coordinate_change(0.5, x, c, r, a, qs);
-    d->constraint_sensitivity(0.5, x, c, r, vq, pr, vr);
-    k->energy(0.5, x, c, r, e);
-    k->output(0.5, x, c, r, a, l, o);
+    const fb_at at = {0.5, x, c, r, a, l, FB_DIRECTIONS};
+    for (int role = 0; role < FB_N_ROLES; ++role) {
+        const fb_function *const f = k->functions + role;
+        const double *arguments[8];
+        double *results[8];
+        for (int i = 0; i < f->n_arguments; ++i)
+            arguments[i] = doubles(f->arguments[i].rows * abs(f->arguments[i].columns));
+        for (int i = 0; i < f->n_results; ++i)
+            results[i] = doubles(f->results[i].rows * abs(f->results[i].columns));
+        f->call(&at, arguments, results, work);
+        for (int i = 0; i < f->n_arguments; ++i)
+            free((void *)arguments[i]);
+        for (int i = 0; i < f->n_results; ++i) {
+            sum += f->results[i].rows * f->results[i].columns ? results[i][0] : 0.0;
+            free(results[i]);
+        }
+    }
     for (int i = 0; i < 3; ++i) {
-        double *q = doubles(k->n_q * n[i]), *y = doubles(n_y * n[i]), *all = doubles(n_x * n[i]);
-        double *of_l = doubles(k->n_l * n[i]), *of_y = doubles(k->n_o * n[i]);
-        of[i](0.5, x, c, r, a, l, q, y);
-        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, NULL, work);
-        k->differentiate(d, of[i], n[i], 0.5, x, c, r, all, of_l, work);
-        if (k->n_o > 0)
-            of_outputs[i](0.5, x, c, r, a, l, of_y);
+        double *all = doubles(n_x * n[i]), *of_l = doubles(k->n_l * n[i]);
+        k->differentiate(k->functions, FB_STATE_PARTIALS + i, n[i], 0.5, x, c, r, all, NULL, work);
+        k->differentiate(k->functions, FB_STATE_PARTIALS + i, n[i], 0.5, x, c, r, all, of_l, work);
         sum += n[i] ? all[0] : 0.0;
-        free(q), free(y), free(all), free(of_l), free(of_y);
+        free(all), free(of_l);
     }
-    if (k->n_z > 0) {
-        k->state_rates(0.5, x, c, r, a, l, z);
-        d->state_rate_sensitivity(0.5, x, c, r, a, l, za, zl);
-    }
-    if (k->n_o > 0)
-        d->output_solution_sensitivity(0.5, x, c, r, a, l, ya, yl);
-    if (n_n > 0)
-        k->unknown_forces(0.5, x, c, r, l + k->n_c, force, by_n, row, row_by_n, row_m, row_j);
     double *weights = doubles(n_x + k->n_l), *gradient = doubles(n_x + k->n_p + k->n_r);
     for (int n = 1; n <= FB_DIRECTIONS; ++n) {
         double *directions = doubles((n_x + k->n_p + k->n_r) * n), *varied = doubles(n_x * n);
-        k->vary(d, k->variations, 0.5, x, c, r, NULL, n, directions, varied, work);
+        k->jvp(k->functions, 0.5, x, c, r, NULL, n, directions, varied, work);
         k->rhs(0.5, x, c, r, rates, work);
-        k->vary(d, k->variations, 0.5, x, c, r, rates + k->n_q, n, directions, varied, work);
-        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_RHS, n, directions, work);
-        k->vary_closed(d, k->variations, 0.5, x, c, r, FB_LAST_ANY, n, directions, work);
+        k->jvp(k->functions, 0.5, x, c, r, rates + k->n_q, n, directions, varied, work);
+        k->projection_jvp(k->functions, 0.5, x, c, r, FB_LAST_RHS, n, directions, work);
+        k->projection_jvp(k->functions, 0.5, x, c, r, FB_LAST_ANY, n, directions, work);
         sum += varied[0] + directions[0];
         free(directions), free(varied);
     }
-    k->pull_back(d, k->variations, 0.5, x, c, r, weights, gradient, work);
-    k->pull_back_closed(d, k->variations, 0.5, x, c, r, gradient, work);
+    k->vjp(k->functions, 0.5, x, c, r, weights, gradient, work);
+    k->projection_vjp(k->functions, 0.5, x, c, r, gradient, work);
     sum += gradient[0];
     free(weights), free(gradient);
     fb_follow follow = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
     double *const memory = doubles((int)fb_place_follow(k, &follow, NULL));
     fb_place_follow(k, &follow, memory);
-    sum += fb_follow_at(k, k->variations, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
+    sum += fb_follow_at(k, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
     free(memory);
     k->orientation_changed(work);
     k->project(0.5, x, c, r, 0, work);
-    sum += rates[0] + e[0];
-    double *const all[] = {x, c, r, a, l, rates, qs, m, f, j, g, phi, pq, vq, pr, vr, e, o, rp, z, za, zl,
-                           ya, yl, force, by_n, row, row_by_n, row_m, row_j};
-    for (size_t i = 0; i < sizeof all / sizeof *all; ++i)
-        free(all[i]);
+    sum += rates[0];
+    free(x), free(c), free(r), free(a), free(l), free(rates);
     free(work);
     return sum;
 }
@@ -172,8 +153,6 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         const int n_directions = by_table ? 3 : FB_DIRECTIONS + 1;
         double *const varied = doubles((int)fb_place_forward(&s, n_directions, &forward, NULL));
         fb_place_forward(&s, n_directions, &forward, varied);
-        forward.derivatives = k->derivatives;
-        forward.variations = k->variations;
         forward.samples = doubles(50 * forward.size);
         double *const changes = doubles(6 * forward.n_blocks * forward.width);
         const double *of_sources[1] = {changes};
@@ -213,8 +192,6 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             fb_keep_step(&s, 0.0);
         }
         fb_run_on(&s, 10000);
-        adjoint.derivatives = k->derivatives;
-        adjoint.variations = k->variations;
         adjoint.rows = steps.rows;
         adjoint.sample_row = steps.sample_row;
         adjoint.sample_t = adjoint.output_t = steps.sample_t;
@@ -374,7 +351,13 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
 
 int main(int argc, char **argv)
 {
-    const fb_kernel *const k = tested;
+    fb_kernel own = *tested;
+    fb_function functions[FB_N_ROLES];
+    memcpy(functions, tested->functions, sizeof functions);
+    fb_attach(functions, tested->derivatives);
+    fb_attach(functions, tested->variations);
+    own.functions = functions;
+    const fb_kernel *const k = &own;
     double *const p = doubles(k->n_p), *const x0 = doubles(k->n_x);
     if (argc != 1 + k->n_p + k->n_x)
         return 2;

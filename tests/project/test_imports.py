@@ -15,8 +15,8 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 TESTS = Path(__file__).parents[1]
 DRAWING = TESTS.parent / "docs" / "folders.svg"
 ROOT = {
-    "errors": "errors", "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground",
-    "tables": "ground",
+    "errors": "errors", "layout": "errors", "arguments": "ground", "definitions": "ground", "files": "ground",
+    "progress": "ground", "tables": "ground",
     "compiled": "compiled", "solvers": "compiled", "fitting": "compiled", "differentiable": "compiled",
     "compile": "compile", "export": "compile", "verify": "compile",
     "__init__": "cli", "__main__": "cli",

@@ -45,8 +45,7 @@ enum { LENGTH, GRAVITY, MASS, WEIGHT };
 #define FB_FASTER NULL
 
 extern const fb_kernel pendulum_kernel;
-extern const fb_derivatives pendulum_derivatives;
-extern const fb_variations pendulum_variations;
+extern const fb_part pendulum_derivatives, pendulum_variations;
 extern const fb_batch_functions pendulum_batch_functions;
 
 #ifdef TWICE
@@ -181,6 +180,78 @@ static void output(double t, const double *restrict x, const double *restrict co
     outputs[1] = -2.0 * constants[LENGTH] * sum_of(multipliers);
 }
 
+static void state_rates(double t, const double *x, const double *constants, const double *r, const double *a,
+                        const double *multipliers, double *rates)
+{
+    (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers, (void)rates;
+}
+
+static void unknown_forces(double t, const double *x, const double *constants, const double *r, const double *forces,
+                           double *effect, double *by_forces, double *rest, double *rest_by_forces, double *mass,
+                           double *jacobian)
+{
+    (void)t, (void)x, (void)constants, (void)r, (void)forces;
+    (void)by_forces, (void)rest, (void)rest_by_forces, (void)mass, (void)jacobian;
+    effect[0] = effect[1] = 0.0;
+}
+
+/* Functions as the table has them: their name, what they are called with, what it needs of FB_NEEDS, and the names and
+ * shapes of their results. */
+#define ARRAYS(...) ((const fb_array[]){__VA_ARGS__})
+#define COUNT(...) (int)(sizeof(ARRAYS(__VA_ARGS__)) / sizeof(fb_array))
+#define CALL(name, ...)                                                                                                \
+    static int call_##name(const fb_at *at, const double *const *arguments, double *const *results, void *work)        \
+    {                                                                                                                  \
+        (void)at, (void)arguments, (void)work;                                                                         \
+        name(__VA_ARGS__);                                                                                             \
+        return FB_OK;                                                                                                  \
+    }
+#define OF_STATE at->t, at->x, at->constants, at->r
+#define OF_SOLUTION OF_STATE, at->accelerations, at->multipliers
+#define ROW(name, needs, ...) {call_##name, needs, 0, COUNT(__VA_ARGS__), NULL, ARRAYS(__VA_ARGS__)}
+#define ROW_OF(given, name, needs, ...) {call_##name, needs, 1, COUNT(__VA_ARGS__), ARRAYS(given), ARRAYS(__VA_ARGS__)}
+#define STATE FB_NEEDS_STATE
+#define ALL STATE | FB_NEEDS_INPUTS
+#define SOLVED ALL | FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS
+#define VECTOR(name, rows) {#name, rows, FB_VECTOR}
+#define MATRIX(name, rows, columns) {#name, rows, columns}
+
+static int call_dynamics(const fb_at *, const double *const *, double *const *, void *);
+CALL(breakpoints, at->constants, results[0])
+CALL(default_inputs, at->t, at->constants, results[0])
+CALL(position, OF_STATE, results[0], results[1])
+CALL(velocity, OF_STATE, results[0], results[1])
+CALL(constraint_violation, OF_STATE, results[0], results[1])
+CALL(constraint_scale, OF_STATE, results[0], results[1], results[2])
+CALL(invariant_correction, OF_STATE, results[0])
+CALL(coordinate_change, OF_STATE, arguments[0], results[0])
+CALL(energy, OF_STATE, results[0])
+CALL(output, OF_SOLUTION, results[0])
+CALL(state_rates, OF_SOLUTION, results[0])
+CALL(unknown_forces, OF_STATE, arguments[0], results[0], results[1], results[2], results[3], results[4], results[5])
+
+static const fb_function own_functions[FB_N_ROLES] = {
+    [FB_BREAKPOINTS] = ROW(breakpoints, 0, VECTOR(breakpoints, 0)),
+    [FB_DEFAULT_INPUTS] = ROW(default_inputs, 0, VECTOR(default_inputs, N_R)),
+    [FB_DYNAMICS] = ROW(dynamics, ALL, VECTOR(coordinate_rates, N_Q), MATRIX(mass_matrix, N_U, N_U),
+                        VECTOR(forcing, N_U), MATRIX(constraint_jacobian, N_C, N_U), VECTOR(acceleration_bias, N_C)),
+    [FB_POSITION] = ROW(position, 0, VECTOR(position_constraints, N_H), MATRIX(position_jacobian, N_H, N_Q)),
+    [FB_VELOCITY] = ROW(velocity, STATE, MATRIX(constraint_jacobian, N_C, N_U), VECTOR(velocity_bias, N_C)),
+    [FB_CONSTRAINT_VIOLATION] =
+        ROW(constraint_violation, STATE, VECTOR(position_violation, N_C), VECTOR(velocity_violation, N_C)),
+    [FB_CONSTRAINT_SCALE] = ROW(constraint_scale, STATE, VECTOR(position_scale, N_H),
+                                VECTOR(position_violation_scale, N_C), VECTOR(velocity_violation_scale, N_C)),
+    [FB_INVARIANT_CORRECTION] = ROW(invariant_correction, 0, VECTOR(invariant_correction, N_Q)),
+    [FB_COORDINATE_CHANGE] = ROW_OF(VECTOR(change, N_U), coordinate_change, ALL, VECTOR(coordinate_change, N_Q)),
+    [FB_ENERGY] = ROW(energy, STATE, VECTOR(energies, 2)),
+    [FB_OUTPUT] = ROW(output, SOLVED, VECTOR(outputs, N_O)),
+    [FB_STATE_RATES] = ROW(state_rates, SOLVED, VECTOR(state_rates, 0)),
+    [FB_UNKNOWN_FORCES] =
+        ROW_OF(VECTOR(forces, 0), unknown_forces, ALL, VECTOR(force_effect, N_U), MATRIX(force_effect_jacobian, N_U, 0),
+               VECTOR(auxiliary_forcing, 0), MATRIX(auxiliary_forcing_jacobian, 0, 0), MATRIX(auxiliary_mass, 0, N_U),
+               MATRIX(auxiliary_constraint_jacobian, 0, N_C)),
+};
+
 #include "fourbar_model.h"
 
 /* Derivatives: columns are x, p, r; rows are those of q', of f - M u' + J^T lambda and -(J u' + gamma), ... */
@@ -223,7 +294,7 @@ static void columns_of(double rows[N_ROWS][N_ALL], const int first, const int n,
         memcpy(i < N_Q ? of_rates + i * n : of_residual + (i - N_Q) * n, rows[i] + first, (size_t)n * sizeof(double));
 }
 
-#define SENSITIVITY(name, first, n)                                                                                    \
+#define PARTIALS(name, first, n)                                                                                       \
     static void name(double t, const double *x, const double *constants, const double *r, const double *a,             \
                      const double *multipliers, double *of_rates, double *of_residual)                                 \
     {                                                                                                                  \
@@ -232,18 +303,18 @@ static void columns_of(double rows[N_ROWS][N_ALL], const int first, const int n,
         slopes(x, constants, a, multipliers, rows);                                                                    \
         columns_of(rows, first, n, of_rates, of_residual);                                                             \
     }
-SENSITIVITY(sensitivity, 0, N_X)
-SENSITIVITY(parameter_sensitivity, N_X, N_P)
-SENSITIVITY(input_sensitivity, N_X + N_P, N_R)
+PARTIALS(state_partials, 0, N_X)
+PARTIALS(parameter_partials, N_X, N_P)
+PARTIALS(input_partials, N_X + N_P, N_R)
 
-static void default_input_sensitivity(double t, const double *constants, double *jacobian)
+static void default_input_partials(double t, const double *constants, double *jacobian)
 {
     (void)t, (void)constants;
     memset(jacobian, 0, N_R * N_P * sizeof(double));
 }
 
-static void constraint_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                   double *velocity_jacobian, double *by_input, double *velocity_by_input)
+static void constraint_partials(double t, const double *x, const double *constants, const double *r,
+                                double *velocity_jacobian, double *by_input, double *velocity_by_input)
 {
     (void)t, (void)constants, (void)r;
     for (int k = 0; k < N_C; ++k) {
@@ -253,16 +324,16 @@ static void constraint_sensitivity(double t, const double *x, const double *cons
     }
 }
 
-static void output_sensitivity(double t, const double *x, const double *constants, const double *r, const double *a,
-                               const double *multipliers, double *jacobian)
+static void output_state_partials(double t, const double *x, const double *constants, const double *r, const double *a,
+                                  const double *multipliers, double *jacobian)
 {
     (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers;
     memset(jacobian, 0, N_O * N_X * sizeof(double));
     jacobian[1] = 1.0;
 }
 
-static void output_parameter_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                         const double *a, const double *multipliers, double *jacobian)
+static void output_parameter_partials(double t, const double *x, const double *constants, const double *r,
+                                      const double *a, const double *multipliers, double *jacobian)
 {
     (void)t, (void)x, (void)constants, (void)r, (void)a;
     memset(jacobian, 0, N_O * N_P * sizeof(double));
@@ -270,16 +341,16 @@ static void output_parameter_sensitivity(double t, const double *x, const double
     jacobian[N_P + LENGTH] = -2.0 * sum_of(multipliers);
 }
 
-static void output_input_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                     const double *a, const double *multipliers, double *jacobian)
+static void output_input_partials(double t, const double *x, const double *constants, const double *r, const double *a,
+                                  const double *multipliers, double *jacobian)
 {
     (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers;
     jacobian[0] = jacobian[1] = 0.0;
 }
 
-static void output_solution_sensitivity(double t, const double *x, const double *constants, const double *r,
-                                        const double *a, const double *multipliers, double *by_accelerations,
-                                        double *by_multipliers)
+static void output_solution_partials(double t, const double *x, const double *constants, const double *r,
+                                     const double *a, const double *multipliers, double *by_accelerations,
+                                     double *by_multipliers)
 {
     (void)t, (void)x, (void)r, (void)a, (void)multipliers;
     memset(by_accelerations, 0, N_O * N_U * sizeof(double));
@@ -310,20 +381,53 @@ static void motion(double t, const double *x, const double *constants, const dou
     }
 }
 
-const fb_derivatives pendulum_derivatives = {
+static void state_rate_partials(double t, const double *x, const double *constants, const double *r, const double *a,
+                                const double *multipliers, double *by_accelerations, double *by_multipliers)
+{
+    (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers, (void)by_accelerations;
+    (void)by_multipliers;
+}
+
+CALL(drawing, OF_STATE, results[0], results[1])
+CALL(motion, OF_STATE, at->accelerations, results[0], results[1], results[2])
+CALL(state_partials, OF_SOLUTION, results[0], results[1])
+CALL(parameter_partials, OF_SOLUTION, results[0], results[1])
+CALL(input_partials, OF_SOLUTION, results[0], results[1])
+CALL(default_input_partials, at->t, at->constants, results[0])
+CALL(constraint_partials, OF_STATE, results[0], results[1], results[2])
+CALL(state_rate_partials, OF_SOLUTION, results[0], results[1])
+CALL(output_state_partials, OF_SOLUTION, results[0])
+CALL(output_parameter_partials, OF_SOLUTION, results[0])
+CALL(output_input_partials, OF_SOLUTION, results[0])
+CALL(output_solution_partials, OF_SOLUTION, results[0], results[1])
+
+#define PARTIALS_ROW(name, n)                                                                                          \
+    ROW(name, SOLVED, MATRIX(coordinate_rate_jacobian, N_Q, n), MATRIX(residual_jacobian, N_U + N_C, n))
+
+const fb_part pendulum_derivatives = {
     .abi_version = FB_ABI_VERSION,
-    .struct_size = sizeof(fb_derivatives),
-    .sensitivity = sensitivity,
-    .parameter_sensitivity = parameter_sensitivity,
-    .input_sensitivity = input_sensitivity,
-    .default_input_sensitivity = default_input_sensitivity,
-    .constraint_sensitivity = constraint_sensitivity,
-    .output_sensitivity = output_sensitivity,
-    .output_parameter_sensitivity = output_parameter_sensitivity,
-    .output_input_sensitivity = output_input_sensitivity,
-    .output_solution_sensitivity = output_solution_sensitivity,
-    .drawing = drawing,
-    .motion = motion,
+    .struct_size = sizeof(fb_part),
+    .functions =
+        {
+            [FB_DRAWING] = ROW(drawing, STATE, MATRIX(points, N_POINTS, 3), MATRIX(forces, N_FORCES, 3)),
+            [FB_MOTION] = ROW(motion, STATE | FB_NEEDS_ACCELERATIONS, VECTOR(coordinate_accelerations, N_Q),
+                              MATRIX(point_velocities, N_POINTS, 3), MATRIX(point_accelerations, N_POINTS, 3)),
+            [FB_STATE_PARTIALS] = PARTIALS_ROW(state_partials, N_X),
+            [FB_PARAMETER_PARTIALS] = PARTIALS_ROW(parameter_partials, N_P),
+            [FB_INPUT_PARTIALS] = PARTIALS_ROW(input_partials, N_R),
+            [FB_DEFAULT_INPUT_PARTIALS] = ROW(default_input_partials, 0, MATRIX(default_input_jacobian, N_R, N_P)),
+            [FB_CONSTRAINT_PARTIALS] =
+                ROW(constraint_partials, STATE, MATRIX(velocity_jacobian, N_C, N_Q),
+                    MATRIX(position_input_jacobian, N_H, N_R), MATRIX(velocity_input_jacobian, N_C, N_R)),
+            [FB_STATE_RATE_PARTIALS] =
+                ROW(state_rate_partials, SOLVED, MATRIX(by_accelerations, 0, N_U), MATRIX(by_multipliers, 0, N_C)),
+            [FB_OUTPUT_STATE_PARTIALS] = ROW(output_state_partials, SOLVED, MATRIX(output_jacobian, N_O, N_X)),
+            [FB_OUTPUT_PARAMETER_PARTIALS] =
+                ROW(output_parameter_partials, SOLVED, MATRIX(output_parameter_jacobian, N_O, N_P)),
+            [FB_OUTPUT_INPUT_PARTIALS] = ROW(output_input_partials, SOLVED, MATRIX(output_input_jacobian, N_O, N_R)),
+            [FB_OUTPUT_SOLUTION_PARTIALS] = ROW(output_solution_partials, SOLVED, MATRIX(by_accelerations, N_O, N_U),
+                                                MATRIX(by_multipliers, N_O, N_C)),
+        },
 };
 
 /* Products of the same rows with n directions, and with weights. */
@@ -346,8 +450,9 @@ static void back(double rows[][N_ALL], const int count, const double *weights, d
     }
 }
 
-static void variation(double t, const double *x, const double *constants, const double *r, const double *a,
-                      const double *multipliers, int n, const double *directions, double *of_rates, double *of_residual)
+static void residual_jvp(double t, const double *x, const double *constants, const double *r, const double *a,
+                         const double *multipliers, int n, const double *directions, double *of_rates,
+                         double *of_residual)
 {
     double rows[N_ROWS][N_ALL];
     (void)t, (void)r;
@@ -356,8 +461,8 @@ static void variation(double t, const double *x, const double *constants, const 
     along(rows + N_Q, N_U + N_C, n, directions, of_residual);
 }
 
-static void constraint_variation(double t, const double *x, const double *constants, const double *r, int n,
-                                 const double *directions, double *of_positions, double *of_velocities)
+static void constraint_jvp(double t, const double *x, const double *constants, const double *r, int n,
+                           const double *directions, double *of_positions, double *of_velocities)
 {
     double rows[2 * N_C][N_ALL];
     (void)t, (void)r;
@@ -366,8 +471,8 @@ static void constraint_variation(double t, const double *x, const double *consta
     along(rows + N_C, N_C, n, directions, of_velocities);
 }
 
-static void pullback(double t, const double *x, const double *constants, const double *r, const double *a,
-                     const double *multipliers, const double *weights, double *gradient)
+static void residual_vjp(double t, const double *x, const double *constants, const double *r, const double *a,
+                         const double *multipliers, const double *weights, double *gradient)
 {
     double rows[N_ROWS][N_ALL];
     (void)t, (void)r;
@@ -375,8 +480,8 @@ static void pullback(double t, const double *x, const double *constants, const d
     back(rows, N_ROWS, weights, gradient);
 }
 
-static void constraint_pullback(double t, const double *x, const double *constants, const double *r,
-                                const double *weights, double *gradient)
+static void constraint_vjp(double t, const double *x, const double *constants, const double *r, const double *weights,
+                           double *gradient)
 {
     double rows[2 * N_C][N_ALL];
     (void)t, (void)r;
@@ -384,12 +489,23 @@ static void constraint_pullback(double t, const double *x, const double *constan
     back(rows, 2 * N_C, weights, gradient);
 }
 
-const fb_variations pendulum_variations = {
+CALL(residual_jvp, OF_SOLUTION, at->n_directions, arguments[0], results[0], results[1])
+CALL(constraint_jvp, OF_STATE, at->n_directions, arguments[0], results[0], results[1])
+CALL(residual_vjp, OF_SOLUTION, arguments[0], results[0])
+CALL(constraint_vjp, OF_STATE, arguments[0], results[0])
+
+const fb_part pendulum_variations = {
     .abi_version = FB_ABI_VERSION,
-    .struct_size = sizeof(fb_variations),
-    .variation = variation,
-    .constraint_variation = constraint_variation,
-    .pullback = pullback,
-    .constraint_pullback = constraint_pullback,
+    .struct_size = sizeof(fb_part),
+    .functions =
+        {
+            [FB_RESIDUAL_JVP] =
+                ROW_OF(MATRIX(directions, N_ALL, FB_DIRECTIONS), residual_jvp, SOLVED,
+                       MATRIX(coordinate_rates, N_Q, FB_DIRECTIONS), MATRIX(residual, N_U + N_C, FB_DIRECTIONS)),
+            [FB_CONSTRAINT_JVP] = ROW_OF(MATRIX(directions, N_ALL, FB_DIRECTIONS), constraint_jvp, STATE,
+                                         MATRIX(positions, N_C, FB_DIRECTIONS), MATRIX(velocities, N_C, FB_DIRECTIONS)),
+            [FB_RESIDUAL_VJP] = ROW_OF(VECTOR(weights, N_ROWS), residual_vjp, SOLVED, VECTOR(gradient, N_ALL)),
+            [FB_CONSTRAINT_VJP] = ROW_OF(VECTOR(weights, 2 * N_C), constraint_vjp, STATE, VECTOR(gradient, N_ALL)),
+        },
 };
 #endif

@@ -161,12 +161,14 @@ static int mock_accelerations(double t, const double *x, const double *constants
 }
 
 /* The outputs are the state. */
-static void mock_output(double t, const double *x, const double *constants, const double *r, const double *a,
-                        const double *multipliers, double *outputs)
+static int mock_output(const fb_at *at, const double *const *arguments, double *const *results, void *work)
 {
-    (void)t, (void)constants, (void)r, (void)a, (void)multipliers;
-    memcpy(outputs, x, MOST * sizeof *x);
+    (void)arguments, (void)work;
+    memcpy(results[0], at->x, MOST * sizeof *at->x);
+    return FB_OK;
 }
+
+static const fb_function mock_functions[FB_N_ROLES] = {[FB_OUTPUT] = {.call = mock_output}};
 
 run *new_run(rates_of *rates, int method, int n, double t, const double *x, double t_bound, double max_step,
              double rtol, double atol)
@@ -180,7 +182,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     s->kernel.rhs = mock_rhs;
     s->kernel.orientation_changed = mock_orientation_changed;
     s->kernel.accelerations = mock_accelerations;
-    s->kernel.output = mock_output;
+    s->kernel.functions = mock_functions;
     s->problem.kernel = &s->kernel;
     s->problem.work = s;
     s->problem.clock = fb_all_time;

@@ -19,10 +19,10 @@ FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
 
 HEADERS = (
-    "fourbar_angle.h", "fourbar_array.h", "fourbar_close.h", "fourbar_columns.h", "fourbar_forces.h",
-    "fourbar_integrate.h", "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h", "fourbar_normal.h",
-    "fourbar_ordered.h", "fourbar_pivoted.h", "fourbar_problem.h", "fourbar_real.h", "fourbar_recursive.h",
-    "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h", "fourbar_tableau.h",
+    "fourbar_angle.h", "fourbar_array.h", "fourbar_close.h", "fourbar_columns.h", "fourbar_enums.h",
+    "fourbar_forces.h", "fourbar_integrate.h", "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h",
+    "fourbar_normal.h", "fourbar_ordered.h", "fourbar_pivoted.h", "fourbar_problem.h", "fourbar_real.h",
+    "fourbar_recursive.h", "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h", "fourbar_tableau.h",
 )  # fmt: skip
 """The runtime of a library."""
 
@@ -407,10 +407,10 @@ def _memory(program: Program) -> int:
 def _internal(name: str) -> str:
     """Declarations of what the derivatives' source needs from the other one."""
     return f"""
-int {name}_differentiate(struct {name} *model, const fb_derivatives *derivatives, fb_sensitivity *function, int n,
+int {name}_differentiate(struct {name} *model, const fb_part *derivatives, enum FB_ROLE role, int n,
     double *matrix);
-int {name}_differentiate_by_parameters(struct {name} *model, const fb_derivatives *derivatives, double *matrix);
-void {name}_draw(struct {name} *model, const fb_derivatives *derivatives, double *points);
+int {name}_differentiate_by_parameters(struct {name} *model, const fb_part *derivatives, double *matrix);
+void {name}_draw(struct {name} *model, const fb_part *derivatives, double *points);
 """
 
 
@@ -420,7 +420,7 @@ def _derivatives(name: str) -> str:
     return f"""{_internal(name)}
 int {name}_jacobian(struct {name} *model, double *jacobian)
 {{
-    return {name}_differentiate(model, &{of}, {of}.sensitivity, {name}_n_x, jacobian);
+    return {name}_differentiate(model, &{of}, FB_STATE_PARTIALS, {name}_n_x, jacobian);
 }}
 
 int {name}_parameter_jacobian(struct {name} *model, double *jacobian)
@@ -430,7 +430,7 @@ int {name}_parameter_jacobian(struct {name} *model, double *jacobian)
 
 int {name}_input_jacobian(struct {name} *model, double *jacobian)
 {{
-    return {name}_differentiate(model, &{of}, {of}.input_sensitivity, {name}_n_r, jacobian);
+    return {name}_differentiate(model, &{of}, FB_INPUT_PARTIALS, {name}_n_r, jacobian);
 }}
 
 void {name}_points(struct {name} *model, double *points)

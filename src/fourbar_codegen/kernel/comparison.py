@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import BuildError, SimulationError
 from fourbar_codegen.runtime.batch import Batch, width
-from fourbar_codegen.runtime.evaluator import Evaluator
+from fourbar_codegen.runtime.functions import Functions
 
 __all__ = ["compare_batch_functions", "compare_derivatives", "compare_variations"]
 
@@ -57,14 +57,14 @@ DEFECT = (
 )
 
 
-def compare_derivatives(model: Evaluator) -> None:
+def compare_derivatives(model: Functions) -> None:
     """Compare derivatives with extrapolated differences of the kernel's functions, at random states.
 
     Differences on which two step sizes disagree, as near singular positions and kinks, are skipped.
 
     Parameters
     ----------
-    model : Evaluator
+    model : Functions
         With derivatives attached.
 
     Raises
@@ -78,12 +78,12 @@ def compare_derivatives(model: Evaluator) -> None:
     _compare(model, "derivatives of x'", _compare_derivatives_at)
 
 
-def compare_variations(model: Evaluator) -> None:
+def compare_variations(model: Functions) -> None:
     """Compare products of derivatives with random vectors: with matrices, differences, and reverse with forward mode.
 
     Parameters
     ----------
-    model : Evaluator
+    model : Functions
         With derivatives and variations attached.
 
     Raises
@@ -94,7 +94,7 @@ def compare_variations(model: Evaluator) -> None:
     _compare(model, "products of derivatives of x' with vectors", _compare_variations_at)
 
 
-def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats, Floats, Floats], None]) -> None:
+def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats, Floats, Floats], None]) -> None:
     generator, compared, is_defined = random.Random(0), 0, False
     # Derivatives with redundant constraints are unique along the constraints only.
     is_redundant = model.n_c > model.manifest["n_dependent_speeds"]
@@ -116,7 +116,7 @@ def _compare(model: Evaluator, what: str, at: Callable[[Evaluator, float, Floats
         logging.getLogger("fourbar_codegen").log(level, message, model.manifest["name"], what, attempts)
 
 
-def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:
+def _compare_variations_at(model: Functions, t: float, x: Floats, p: Floats, r: Floats) -> None:
     generator = np.random.default_rng(0)
     sizes = (model.n_x, model.n_p, model.n_r)
     dx, dp, dr = (generator.uniform(-1.0, 1.0, size) for size in sizes)
@@ -165,7 +165,7 @@ def _compare_variations_at(model: Evaluator, t: float, x: Floats, p: Floats, r: 
     compare(of_rates, of_rates(x, p, r))  # which needs a solution of the equations
 
 
-def _compare_derivatives_at(model: Evaluator, t: float, x: Floats, p: Floats, r: Floats) -> None:
+def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r: Floats) -> None:
     n_q, n_u = model.n_q, model.n_u
 
     def velocities(x: Floats, r: Floats) -> Floats:
@@ -273,7 +273,7 @@ def _one_sided_differences(function: Function, point: Floats) -> Floats:
     return np.array(sides)
 
 
-def compare_batch_functions(model: Evaluator) -> None:
+def compare_batch_functions(model: Functions) -> None:
     """Compare rates of states side by side with those of single states, at random states.
 
     Raises
@@ -306,7 +306,7 @@ def compare_batch_functions(model: Evaluator) -> None:
 
 
 def _arguments(
-    model: Evaluator, generator: random.Random, *, at_beginning: bool = False
+    model: Functions, generator: random.Random, *, at_beginning: bool = False
 ) -> tuple[float, Floats, Floats, Floats]:
     """Time, state, parameters and inputs, as `verify` takes them; the state may be that of the initial values."""
 

@@ -30,7 +30,8 @@ from fourbar_codegen.kernel.loading import (
     sources_beside,
 )
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.runtime.evaluator import NOT_FINITE, Evaluator, is_finite, versions
+from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite, versions
+from fourbar_codegen.runtime.functions import Functions
 
 __all__ = ["Kernel", "parameter_array"]
 
@@ -40,7 +41,7 @@ ENERGIES = {"potential_energy", "energy", "potential energy", "total energy"}
 """Names of quantities with the potential energy, in tables and in plots."""
 
 
-class Kernel(Evaluator):
+class Kernel(Functions):
     """A mechanism's compiled equations of motion, and their evaluation.
 
     The order of arguments is (t, x, p, r): time, state x = [q; u; z], parameters, inputs. Parameters and inputs are
@@ -49,7 +50,7 @@ class Kernel(Evaluator):
     Its attributes are those of `fourbar_codegen.CompiledModel`.
     """
 
-    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Evaluator takes it
+    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Functions take it
         self.path = Path()
         self._sources_when_loaded: dict[str, str] | None = None
         self._later: bytes | None = None
@@ -151,7 +152,7 @@ class Kernel(Evaluator):
         False
         """
         if self.lacks_derivatives:
-            attach, compare = type(self)._attach_derivatives, compare_derivatives
+            attach, compare = type(self)._attach, compare_derivatives
             self._require("derivatives", "Derivatives and pictures need", attach, compare)
 
     def require_variations(self) -> None:
@@ -169,7 +170,7 @@ class Kernel(Evaluator):
         """
         self.require_derivatives()
         if self.lacks_variations:
-            attach, compare = type(self)._attach_variations, compare_variations
+            attach, compare = type(self)._attach, compare_variations
             self._require("variations", "Sensitivities and gradients need", attach, compare)
 
     def _require(
@@ -177,7 +178,7 @@ class Kernel(Evaluator):
         part: str,
         needed: str,
         attach: Callable[[Self, int], None],
-        compare: Callable[[Evaluator], None],
+        compare: Callable[[Functions], None],
     ) -> None:
         """Attach a part from its library, which is built and compared first if it is not in the cache.
 

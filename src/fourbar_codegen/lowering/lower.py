@@ -18,6 +18,7 @@ from fourbar_codegen.dynamics.variations import Variations
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
+from fourbar_codegen.layout import Needs, Role
 from fourbar_codegen.lowering.angles import add_angles
 from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
 from fourbar_codegen.lowering.elimination import (
@@ -27,7 +28,18 @@ from fourbar_codegen.lowering.elimination import (
     recursive_cost,
     solution_cost,
 )
-from fourbar_codegen.lowering.program import Array, Factors, Function, PivotOrder, Program, Sizes, Statements, Structure
+from fourbar_codegen.lowering.program import (
+    COLUMNS,
+    FACTORS,
+    Array,
+    Factors,
+    Function,
+    PivotOrder,
+    Program,
+    Sizes,
+    Statements,
+    Structure,
+)
 
 __all__ = ["lower", "lower_derivatives", "lower_variations"]
 
@@ -45,6 +57,19 @@ LOOPS = 3
 
 _Specification = tuple[str, str, Sequence[Array], Sequence[Array], Sequence[Result]]
 """Of a function: name, summary, arguments before and after the constants, results."""
+
+ROLES = {role.name.lower(): role for role in Role if role is not Role.DYNAMICS}  # that is assembled in C
+"""Of functions of the kernel's table, by name."""
+
+KINEMATIC = {
+    Role.BREAKPOINTS, Role.DEFAULT_INPUTS, Role.POSITION, Role.VELOCITY, Role.CONSTRAINT_VIOLATION,
+    Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION, Role.ENERGY, Role.DRAWING, Role.MOTION,
+    Role.DEFAULT_INPUT_PARTIALS, Role.CONSTRAINT_PARTIALS, Role.CONSTRAINT_JVP, Role.CONSTRAINT_VJP,
+}  # fmt: skip
+"""Of functions that need only inputs which prescribe motions; others are in single entries, such as an energy."""
+
+HELD = {"x": Needs.STATE, "accelerations": Needs.ACCELERATIONS, "multipliers": Needs.MULTIPLIERS}
+"""What arguments of these names stand for."""
 
 EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""
@@ -117,6 +142,8 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
     if form == "recursive" and e.recursion is not None:
         forcing = e.recursion.forcing
         products, factors, mass_matrix = _recursive(e, e.recursion, pool.contains)
+    n_n = len(e.auxiliary_forcing.entries)
+    unknown = e.multipliers[len(e.multipliers) - n_n :]
     specifications: list[_Specification] = [
         ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
         ("breakpoints", "Times at which expressions have a jump or a kink.", [], [], [e.breakpoints]),
@@ -165,27 +192,21 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         (
             "coordinate_change",
             "K v, the change of the coordinates for a change v of the speeds' integrals.",
-            [time, coordinates],
+            [time, state],
             [inputs, _array("change", e.accelerations)],
             [e.coordinate_change],
         ),
         ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
         ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
+        ("state_rates", "z', with u' and lambda given.", [time, state], [*held], [e.state_rates]),
+        (
+            "unknown_forces",
+            "Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
+            [time, state],
+            [inputs, _array("forces", unknown)],
+            [*e.of_unknown_forces],
+        ),
     ]
-    if e.auxiliary_states:
-        specifications.append(("state_rates", "z', with u' and lambda given.", [time, state], [*held], [e.state_rates]))
-    n_n = len(e.auxiliary_forcing.entries)
-    unknown = e.multipliers[len(e.multipliers) - n_n :]
-    if n_n:
-        specifications.append(
-            (
-                "unknown_forces",
-                "Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
-                [time, state],
-                [inputs, _array("forces", unknown)],
-                [*e.of_unknown_forces],
-            )
-        )
     lowered = _lowered(e.tape, specifications, pool.contains)
     lowered += [statements for _, statements in products]
     specifications += [specification for specification, _ in products]
@@ -272,41 +293,37 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
         ),
         *sensitivities,
         (
-            "default_input_sensitivity",
+            "default_input_partials",
             "d/dp of the inputs' expressions; zero without one.",
             [time],
             [],
             [d.default_input_jacobian],
         ),
         (
-            "constraint_sensitivity",
+            "constraint_partials",
             "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
             [time, state],
             [inputs],
             [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
         ),
+        (
+            "state_rate_partials",
+            "d/du' and d/dlambda of z'.",
+            [time, state],
+            [*held],
+            [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
+        ),
     ]
-    if e.auxiliary_states:
-        specifications.append(
-            (
-                "state_rate_sensitivity",
-                "d/du' and d/dlambda of z'.",
-                [time, state],
-                [*held],
-                [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
-            )
-        )
-    if e.outputs.entries:
-        partials = (
-            ("output_sensitivity", "d/dx of the outputs with u' and lambda held.", d.output_jacobian),
-            ("output_parameter_sensitivity", "d/dp of the same.", d.output_parameter_jacobian),
-            ("output_input_sensitivity", "d/dr of the same.", d.output_input_jacobian),
-        )
-        specifications += [(name, summary, [time, state], [*held], [result]) for name, summary, result in partials]
-        by_solution = [d.output_acceleration_jacobian, d.output_multiplier_jacobian]
-        specifications.append(
-            ("output_solution_sensitivity", "d/du' and d/dlambda of the outputs.", [time, state], [*held], by_solution)
-        )
+    partials = (
+        ("output_state_partials", "d/dx of the outputs with u' and lambda held.", d.output_jacobian),
+        ("output_parameter_partials", "d/dp of the same.", d.output_parameter_jacobian),
+        ("output_input_partials", "d/dr of the same.", d.output_input_jacobian),
+    )
+    specifications += [(name, summary, [time, state], [*held], [result]) for name, summary, result in partials]
+    by_solution = [d.output_acceleration_jacobian, d.output_multiplier_jacobian]
+    specifications.append(
+        ("output_solution_partials", "d/du' and d/dlambda of the outputs.", [time, state], [*held], by_solution)
+    )
     lowered = _lowered(e.tape, specifications, known.__contains__)
     specifications += [specification for specification, _ in columns]
     lowered += [statements for _, statements in columns]
@@ -318,7 +335,7 @@ def _sensitivities(
 ) -> tuple[list[_Specification], list[_Lowered]]:
     """The functions for derivatives of q' and the residual; for products with directions, those are lowered."""
     before, after = [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))], _held(e)
-    names = ("sensitivity", "parameter_sensitivity", "input_sensitivity")
+    names = ("state_partials", "parameter_partials", "input_partials")
     if not d.tangents:
         summaries = (
             f"d/dx of q', and of {residual} with u' and lambda held.",
@@ -357,7 +374,7 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
     >>> equations = form_equations(four_bar())
     >>> functions = lower_variations(lower("four_bar", equations), equations, form_variations(equations))
     >>> [f.name for f in functions][:2]
-    ['pullback', 'constraint_pullback']
+    ['residual_vjp', 'constraint_vjp']
     """
     e, v, residual = equations, variations.variation, _residual(equations)
     before = [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))]
@@ -366,14 +383,14 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
     pulled, closed = variations.pullback, variations.constraint_pullback
     specifications: list[_Specification] = [
         (
-            "pullback",
+            "residual_vjp",
             f"The gradient by x, p and r of the weighted sum of q', and {residual} with u' and lambda held.",
             before,
             [*held, _array("weights", pulled.weights)],
             [pulled.gradient],
         ),
         (
-            "constraint_pullback",
+            "constraint_vjp",
             "The gradient by x, p and r of the weighted sum of the results of constraint_violation.",
             before,
             [inputs, _array("weights", closed.weights)],
@@ -384,13 +401,13 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
     direction = _array("direction", v.direction)
     for name, summary, after, results in (
         (
-            "variation",
+            "residual_jvp",
             f"q', and {residual} with u' and lambda held, differentiated along a direction of x, p and r.",
             held,
             [v.coordinate_rates, v.residual],
         ),
         (
-            "constraint_variation",
+            "constraint_jvp",
             "The results of constraint_violation differentiated along a direction of x, p and r.",
             (inputs,),
             [v.positions, v.velocities],
@@ -446,9 +463,17 @@ def _functions(
             statements,
             _shaped(results, entries),
             written_out.operations(results),
+            role := ROLES.get(name.removesuffix(FACTORS).removesuffix(COLUMNS)),
+            _needs(role, (*before, *after)),
         )
         for (name, summary, before, after, results), (statements, entries) in zip(specifications, lowered, strict=True)
     )
+
+
+def _needs(role: Role | None, arguments: Sequence[Array]) -> int:
+    """What a function needs to know, by its role and its arguments besides the constants."""
+    inputs = 0 if role in KINEMATIC else Needs.INPUTS
+    return inputs | sum(HELD.get(array.name, 0) for array in arguments)
 
 
 def _rank(e: Equations) -> int:

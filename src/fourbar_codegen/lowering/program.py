@@ -10,11 +10,27 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
+from fourbar_codegen.layout import Role
 
-__all__ = ["Array", "Entries", "Factors", "Function", "PivotOrder", "Program", "Sizes", "Statements", "Structure"]
+__all__ = [
+    "COLUMNS",
+    "FACTORS",
+    "Array",
+    "Entries",
+    "Factors",
+    "Function",
+    "PivotOrder",
+    "Program",
+    "Sizes",
+    "Statements",
+    "Structure",
+]
 
 Statements = tuple[tuple[int, Node], ...]
 """Nodes and what they are, in order of evaluation."""
+
+FACTORS, COLUMNS = "_factors", "_columns"
+"""Ends of names of functions: products of derivatives with directions, and what they need of a state."""
 
 Entries = tuple[tuple[int, int], ...]
 """Rows and columns of the entries of a matrix that are not zero."""
@@ -52,6 +68,10 @@ class Function:
     results : tuple of Result
     operations_before_sharing : int
         Number of operations if every result were written out in full, without common subexpressions.
+    role : Role or None
+        That of an entry of the kernel's table; None for what other functions call.
+    needs : int
+        What it needs to know: `Needs` in any combination.
     """
 
     name: str
@@ -60,6 +80,8 @@ class Function:
     statements: Statements
     results: tuple[Result, ...]
     operations_before_sharing: int
+    role: Role | None = None
+    needs: int = 0
 
     def __post_init__(self) -> None:
         known = [node for array in self.arguments for node in array.nodes]

@@ -5,7 +5,8 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 
-from fourbar_codegen.runtime.evaluator cimport Evaluator, data, fb_batch_functions, fb_kernel, fb_source
+from fourbar_codegen.runtime.evaluator cimport (
+    FB_CONSTRAINT_JVP, FB_STATE_PARTIALS, Evaluator, data, fb_batch_functions, fb_kernel, fb_source)
 from fourbar_codegen.runtime.integrator cimport Table, fb_tableau, tableau_of
 
 import numpy as np
@@ -162,7 +163,7 @@ cdef class Jacobians:
 
     def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray in_force not None):
         self.evaluator, self.kept = evaluator, [t, x, p, r, in_force]
-        evaluator.derivatives()
+        evaluator.function(FB_STATE_PARTIALS)
         self.batch.kernel, self.batch.n = evaluator.kernel, np.shape(x)[1]
         self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
         self.batch.in_force = <const char *>cnp.PyArray_DATA(in_force)
@@ -190,7 +191,7 @@ cdef class Jacobians:
         cdef int n_y = e.n_x + e.n_l
         cdef cnp.ndarray part
         cdef double *result
-        e.variations()
+        e.function(FB_CONSTRAINT_JVP)
         self.kept += [rates, multipliers]
         self.batch.rates, self.batch.multipliers = _columns(rates, 2), _columns(multipliers, 2)
         self.batch.formulation = FB_INDEX_1 if formulation == "index-1" else FB_INDEX_3

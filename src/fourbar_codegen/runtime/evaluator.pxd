@@ -7,6 +7,8 @@ cdef extern from "fourbar_kernel.h":
     const int FB_ABI_VERSION
     const char *FB_CAPSULE_NAME
     int FB_DIRECTIONS
+    int FB_N_ROLES
+    int FB_VECTOR
     int FB_OK
     int FB_CONSTRAINTS_DEPENDENT
     int FB_MASS_SINGULAR
@@ -15,97 +17,76 @@ cdef extern from "fourbar_kernel.h":
     int FB_CONSTRAINTS_INDEPENDENT
     int FB_FORCES_UNDETERMINED
     int FB_FORCES_NOT_FOUND
+    int FB_NEEDS_STATE
+    int FB_NEEDS_INPUTS
+    int FB_NEEDS_ACCELERATIONS
+    int FB_NEEDS_MULTIPLIERS
     enum FB_LAST:
         FB_LAST_ANY
+    int FB_BREAKPOINTS
+    int FB_ENERGY
+    int FB_STATE_PARTIALS
+    int FB_PARAMETER_PARTIALS
+    int FB_INPUT_PARTIALS
+    int FB_DEFAULT_INPUT_PARTIALS
+    int FB_OUTPUT_STATE_PARTIALS
+    int FB_OUTPUT_PARAMETER_PARTIALS
+    int FB_OUTPUT_INPUT_PARTIALS
+    int FB_OUTPUT_SOLUTION_PARTIALS
+    int FB_RESIDUAL_JVP
+    int FB_CONSTRAINT_JVP
     ctypedef struct fb_batch_functions
     ctypedef int fb_evaluation(double, const double *, const double *, const double *, double *, void *) noexcept nogil
-    ctypedef void fb_sensitivity(double, const double *, const double *, const double *, const double *,
-                                 const double *, double *, double *) noexcept nogil
-    ctypedef void fb_output_sensitivity(double, const double *, const double *, const double *, const double *,
-                                        const double *, double *) noexcept nogil
-    ctypedef struct fb_derivatives:
-        int abi_version
-        size_t struct_size
-        fb_sensitivity *sensitivity
-        fb_sensitivity *parameter_sensitivity
-        fb_sensitivity *input_sensitivity
-        void (*default_input_sensitivity)(double, const double *, double *) noexcept nogil
-        void (*constraint_sensitivity)(double, const double *, const double *, const double *, double *, double *,
-                                       double *) noexcept nogil
-        void (*state_rate_sensitivity)(double, const double *, const double *, const double *, const double *,
-                                       const double *, double *, double *) noexcept nogil
-        fb_output_sensitivity *output_sensitivity
-        fb_output_sensitivity *output_parameter_sensitivity
-        fb_output_sensitivity *output_input_sensitivity
-        void (*output_solution_sensitivity)(double, const double *, const double *, const double *, const double *,
-                                            const double *, double *, double *) noexcept nogil
-        void (*drawing)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*motion)(double, const double *, const double *, const double *, const double *, double *, double *,
-                       double *) noexcept nogil
-    ctypedef struct fb_variations:
-        int abi_version
-        size_t struct_size
-        void (*variation)(double, const double *, const double *, const double *, const double *, const double *, int,
-                          const double *, double *, double *) noexcept nogil
-        void (*constraint_variation)(double, const double *, const double *, const double *, int, const double *,
-                                     double *, double *) noexcept nogil
-        void (*pullback)(double, const double *, const double *, const double *, const double *, const double *,
-                         const double *, double *) noexcept nogil
-        void (*constraint_pullback)(double, const double *, const double *, const double *, const double *,
-                                    double *) noexcept nogil
+    ctypedef struct fb_at:
+        double t
+        const double *x
+        const double *constants
+        const double *r
+        const double *accelerations
+        const double *multipliers
+        int n_directions
+    ctypedef struct fb_array:
+        const char *name
+        int rows, columns
+    ctypedef struct fb_function:
+        int (*call)(const fb_at *, const double *const *, double *const *, void *) noexcept nogil
+        int needs, n_arguments, n_results
+        const fb_array *arguments
+        const fb_array *results
+    ctypedef struct fb_part
+    bint fb_attach(fb_function *, const fb_part *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
         size_t struct_size
+        int n_roles
         size_t work_size
         int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o, n_breakpoints, n_points, n_forces, n_constants
         int states_need_solution
         const int *position_row
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
-        void (*breakpoints)(const double *, double *) noexcept nogil
         fb_evaluation *rhs
-        int (*stabilized)(double, const double *, const double *, const double *, double, double *,
-                          void *) noexcept nogil
-        int (*differentiate)(const fb_derivatives *, fb_sensitivity *, int, double, const double *, const double *,
-                             const double *, double *, double *, void *) noexcept nogil
-        int (*vary)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                    const double *, const double *, int, const double *, double *, void *) noexcept nogil
-        int (*vary_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                           const double *, FB_LAST, int, double *, void *) noexcept nogil
-        int (*pull_back)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                         const double *, const double *, double *, void *) noexcept nogil
-        int (*pull_back_closed)(const fb_derivatives *, const fb_variations *, double, const double *, const double *,
-                                const double *, double *, void *) noexcept nogil
+        int (*differentiate)(const fb_function *, int, int, double, const double *, const double *, const double *,
+                             double *, double *, void *) noexcept nogil
+        int (*jvp)(const fb_function *, double, const double *, const double *, const double *, const double *, int,
+                   const double *, double *, void *) noexcept nogil
+        int (*vjp)(const fb_function *, double, const double *, const double *, const double *, const double *,
+                   double *, void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
-        void (*state_rates)(double, const double *, const double *, const double *, const double *, const double *,
-                            double *) noexcept nogil
-        void (*dynamics)(double, const double *, const double *, const double *, double *, double *, double *,
-                         double *, double *) noexcept nogil
-        void (*unknown_forces)(double, const double *, const double *, const double *, const double *, double *,
-                               double *, double *, double *, double *, double *) noexcept nogil
-        void (*position)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*velocity)(double, const double *, const double *, const double *, double *, double *) noexcept nogil
-        void (*constraint_violation)(double, const double *, const double *, const double *, double *,
-                                     double *) noexcept nogil
-        void (*constraint_scale)(double, const double *, const double *, const double *, double *, double *,
-                                 double *) noexcept nogil
-        void (*invariant_correction)(double, const double *, const double *, const double *, double *) noexcept nogil
-        void (*coordinate_change)(double, const double *, const double *, const double *, const double *,
-                                  double *) noexcept nogil
-        int (*project)(double, double *, const double *, const double *, int, void *) noexcept nogil
         int (*orientation_changed)(void *) noexcept nogil
-        void (*energy)(double, const double *, const double *, const double *, double *) noexcept nogil
-        void (*output)(double, const double *, const double *, const double *, const double *, const double *,
-                       double *) noexcept nogil
-        const fb_derivatives *derivatives
-        const fb_variations *variations
+        const fb_function *functions
+        const fb_part *derivatives
+        const fb_part *variations
         const fb_batch_functions *batch_functions
         int batch_functions_apart
         int one_machine
         int instructions
         const fb_kernel *faster
     bint fb_runs_here(const fb_kernel *) noexcept nogil
+
+cdef enum:
+    FB_ARRAYS = 8  # results or arguments of a function, at most
 
 cdef extern from "fourbar_problem.h":
     ctypedef struct fb_table:
@@ -140,6 +121,8 @@ cdef extern from "fourbar_problem.h":
         double *failed_x
         double *moved_x
     int fb_fill_inputs(fb_problem *, double, const double *) noexcept nogil
+    void fb_problem_results(const fb_problem *, int, double, const double *, const double *, const double *,
+                     const double *const *, double *const *) noexcept nogil
     int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
     int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil
     int fb_problem_project(fb_problem *, double, double *, int) noexcept nogil
@@ -161,6 +144,7 @@ cdef cnp.ndarray vector(object values, int n, str what)
 cdef class Evaluator:
     cdef const fb_kernel *kernel
     cdef fb_kernel own
+    cdef fb_function *functions
     cdef readonly object capsule
     cdef readonly dict manifest
     cdef readonly int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o
@@ -180,9 +164,8 @@ cdef class Evaluator:
     cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
-    cdef const fb_derivatives *derivatives(self) except NULL
-    cdef const fb_variations *variations(self) except NULL
-    cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r)
-    cdef cnp.ndarray _differentiate_outputs(
-        self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r)
+    cdef const fb_function *function(self, int role) except NULL
+    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r)
+    cdef tuple _total(self, int role, int columns, bint of_multipliers, double t, x, p, r)
+    cdef cnp.ndarray _differentiate_outputs(self, int role, int outputs, int columns, double t, x, p, r)
     cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing)

@@ -54,9 +54,27 @@ class Evaluator:
     @property
     def instructions(self) -> str: ...
     def _attach_batch_functions(self, address: int) -> None: ...
-    def _attach_derivatives(self, address: int) -> None: ...
-    def _attach_variations(self, address: int) -> None: ...
+    def _attach(self, address: int) -> None: ...
     def _attach_parts_of(self, other: Evaluator) -> None: ...
+    def evaluate(
+        self,
+        role: int,
+        t: float,
+        x: ArrayLike | None = None,
+        p: Values | None = None,
+        r: Values | None = None,
+        accelerations: ArrayLike | None = None,
+        multipliers: ArrayLike | None = None,
+        arguments: Sequence[ArrayLike] = (),
+    ) -> list[Floats]: ...
+    def evaluate_along(
+        self,
+        wanted: Mapping[int, Sequence[int]],
+        times: ArrayLike,
+        states: ArrayLike,
+        inputs: ArrayLike,
+        p: Values | None = None,
+    ) -> tuple[Floats, list[Floats]]: ...
     def jvp(
         self,
         t: float,
@@ -70,9 +88,6 @@ class Evaluator:
     def vjp(
         self, t: float, x: ArrayLike, weights: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]: ...
-    def constraint_pullback(
-        self, t: float, x: ArrayLike, weights: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> Floats: ...
     def parameter_values(self, p: Values) -> Values: ...
     def input_values(self, r: Values, defaults: Sequence[float]) -> Values: ...
     def held_inputs(self, r: Values) -> list[tuple[int, float]] | None: ...
@@ -98,107 +113,14 @@ class Evaluator:
     def accelerations(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
-    def unknown_forces(
-        self, t: float, x: ArrayLike, forces: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]: ...
-    def dynamics(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats]: ...
-    def position(
-        self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats]: ...
-    def velocity(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats]: ...
-    def constraint_violation(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats]: ...
-    def constraint_scale(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats, Floats]: ...
-    def coordinate_change(
-        self, t: float, x: ArrayLike, change: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> Floats: ...
-    def invariant_correction(
-        self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> Floats: ...
-    def constraint_sensitivity(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats, Floats]: ...
     def constraint_variation(
         self, t: float, x: ArrayLike, directions: Floats, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
-    def drawing(
-        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
-    ) -> tuple[Floats, Floats]: ...
-    def motion(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> tuple[Floats, Floats, Floats]: ...
-    def drawing_along(
-        self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None
-    ) -> list[Floats]: ...
-    def energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats: ...
-    def outputs_for(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        multipliers: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> Floats: ...
-    def state_rates_for(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        multipliers: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> Floats: ...
-    def state_rate_sensitivity(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        multipliers: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> tuple[Floats, Floats]: ...
-    def sensitivities(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        multipliers: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> list[Floats]: ...
     def require_output_derivatives(self, names: Sequence[str]) -> None: ...
     def output_derivatives(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]: ...
-    def output_sensitivities(
-        self,
-        t: float,
-        x: ArrayLike,
-        accelerations: ArrayLike,
-        multipliers: ArrayLike,
-        p: Values | None = None,
-        r: Values | None = None,
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats]: ...
     def parameter_vector(self, p: Values | None) -> Floats | None: ...
-    def default_inputs(self, t: float, p: Values | None = None) -> Floats: ...
-    def breakpoints(self, p: Values | None = None) -> Floats: ...
-    def default_input_sensitivity(self, t: float, p: Values | None = None) -> Floats: ...
-    def along(
-        self, times: ArrayLike, states: ArrayLike, inputs: ArrayLike, p: Values | None = None
-    ) -> tuple[Floats, Floats, Floats, Floats, Floats]: ...
 
 def dependent_changes(
     evaluator: Evaluator,

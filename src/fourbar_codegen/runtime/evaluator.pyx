@@ -26,7 +26,7 @@ cdef extern from "fourbar_follow.h":
         double *left
         double pivot
     size_t fb_place_follow(const fb_kernel *, fb_follow *, double *) noexcept nogil
-    int fb_follow_at(const fb_kernel *, const fb_variations *, double, const double *, const double *, const double *,
+    int fb_follow_at(const fb_kernel *, double, const double *, const double *, const double *,
                      fb_follow *) noexcept nogil
 
 cdef extern from "fourbar_batch.h":
@@ -41,11 +41,6 @@ cdef object _other_layout(manifest):
     return ModelError(
         f"The compiled model {manifest['name']} was built with another version of this package (whose kernel "
         f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
-
-
-cdef bint _agree(int abi_version, size_t size, size_t expected) noexcept:
-    """Whether a table was built with these headers."""
-    return abi_version == FB_ABI_VERSION and size == expected
 
 
 cdef cnp.ndarray new_array(int rows, int columns=-1):
@@ -232,17 +227,22 @@ cdef class Evaluator:
 
     def __cinit__(self, capsule, manifest):
         cdef const fb_kernel *kernel = _kernel_in(capsule)
-        if kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel):
+        if (kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel)
+                or kernel.n_roles != FB_N_ROLES):
             raise _other_layout(manifest)
         if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
             raise _other_layout(manifest)
+        self.functions = <fb_function *>PyMem_Calloc(FB_N_ROLES, sizeof(fb_function))
+        if not self.functions:
+            raise MemoryError
+        memcpy(self.functions, kernel.functions, FB_N_ROLES * sizeof(fb_function))
         self.own = kernel[0]  # a copy, to which parts that are built separately are attached
+        self.own.functions = self.functions
         self.kernel = &self.own
         self.capsule, self.manifest = capsule, manifest
-        if kernel.derivatives != NULL:
-            self._attach_derivatives(<size_t>kernel.derivatives)
-        if kernel.variations != NULL:
-            self._attach_variations(<size_t>kernel.variations)
+        for part in (<size_t>kernel.derivatives, <size_t>kernel.variations):
+            if part:
+                self._attach(part)
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_l, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_l, kernel.n_i, kernel.n_o
         self.n_z, self.n_x, self.states_need_solution = kernel.n_z, kernel.n_x, kernel.states_need_solution
@@ -260,6 +260,7 @@ cdef class Evaluator:
         kernel.prepare(data(self.default_parameters), self.default_constants)
 
     def __dealloc__(self):
+        PyMem_Free(self.functions)
         PyMem_Free(self.default_constants)
         PyMem_Free(self.constants)
         PyMem_Free(self.inputs)
@@ -273,12 +274,12 @@ cdef class Evaluator:
     @property
     def lacks_derivatives(self):
         """Whether derivatives and data for drawings are in a library that is not attached yet."""
-        return self.kernel.derivatives == NULL
+        return self.functions[FB_STATE_PARTIALS].call == NULL
 
     @property
     def lacks_variations(self):
         """Whether products of derivatives with vectors are in a library that is not attached yet."""
-        return self.kernel.variations == NULL
+        return self.functions[FB_RESIDUAL_JVP].call == NULL
 
     @property
     def is_portable(self):
@@ -304,43 +305,92 @@ cdef class Evaluator:
             raise _other_layout(self.manifest)
         self.own.batch_functions = <const fb_batch_functions *>address
 
-    def _attach_derivatives(self, size_t address):
-        """Attach an ``fb_derivatives``."""
-        cdef const fb_derivatives *table = <const fb_derivatives *>address
-        if not _agree(table.abi_version, table.struct_size, sizeof(fb_derivatives)):
-            raise _other_layout(self.manifest)
-        self.own.derivatives = table
+    def _attach(self, size_t address):
+        """Attach the functions of an ``fb_part``.
 
-    def _attach_variations(self, size_t address):
-        """Attach an ``fb_variations``."""
-        cdef const fb_variations *table = <const fb_variations *>address
-        if not _agree(table.abi_version, table.struct_size, sizeof(fb_variations)):
+        Raises
+        ------
+        ModelError
+            If it was built with another version of the package.
+        """
+        if not fb_attach(self.functions, <const fb_part *>address):
             raise _other_layout(self.manifest)
-        self.own.variations = table
 
     def require_derivatives(self):
         """Attach the derivatives; a subclass that has their sources builds them."""
         raise ModelError("The derivatives are in a library of their own: attach it.")
 
-    cdef const fb_derivatives *derivatives(self) except NULL:
-        """The derivatives of the kernel, built first if necessary."""
-        if self.kernel.derivatives == NULL:
-            self.require_derivatives()
-        return self.kernel.derivatives
-
     def _attach_parts_of(self, Evaluator other not None):
         """Attach the parts that another evaluator of the same kernel has."""
-        self.own.derivatives, self.own.variations = other.own.derivatives, other.own.variations
+        memcpy(self.functions, other.functions, FB_N_ROLES * sizeof(fb_function))
 
     def require_variations(self):
         """Attach the products of derivatives with vectors; a subclass that has their sources builds them."""
         raise ModelError("The products of derivatives with vectors are in a library of their own: attach it.")
 
-    cdef const fb_variations *variations(self) except NULL:
-        """The products of derivatives with vectors, built first if necessary."""
-        if self.kernel.variations == NULL:
-            self.require_variations()
-        return self.kernel.variations
+    cdef const fb_function *function(self, int role) except NULL:
+        """A function of the table; the part that has it is built first if necessary."""
+        if self.functions[role].call == NULL:
+            if role < FB_RESIDUAL_JVP:
+                self.require_derivatives()
+            else:
+                self.require_variations()
+        return self.functions + role
+
+    def evaluate(self, int role, t, x=None, p=None, r=None, accelerations=None, multipliers=None, arguments=()):
+        """The results of a function of the table.
+
+        Parameters
+        ----------
+        role : Role
+        t : float
+        x : array_like, shape (n_x,) or (n_q,), optional
+            The state, or coordinates; with those functions that take one.
+        p, r
+            As for `rhs`.
+        accelerations, multipliers : array_like, shape (n_u,), (n_l,), optional
+            u' and lambda, where they are needed.
+        arguments : sequence of array_like
+            Further vectors.
+
+        Returns
+        -------
+        list of ndarray
+        """
+        t = time_of(t)
+        cdef const fb_function *f = self.function(role)
+        cdef cnp.ndarray parameters = self._parameters(p)
+        cdef cnp.ndarray inputs = None, state = None, held = None, forces = None, array
+        cdef const double *given[FB_ARRAYS]
+        cdef double *found[FB_ARRAYS]
+        cdef fb_at at
+        cdef int i, status
+        cdef list read = [], results = []
+        if x is not None:
+            inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_motions)
+            state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
+        if f.needs & FB_NEEDS_ACCELERATIONS:
+            held = vector(accelerations, self.n_u, "The accelerations")
+        if f.needs & FB_NEEDS_MULTIPLIERS:
+            forces = vector(multipliers, self.n_l, "The multipliers")
+        for i in range(f.n_arguments):
+            array = vector(arguments[i], f.arguments[i].rows, f"The {f.arguments[i].name.decode()}")
+            read.append(array)  # which keeps its memory
+            given[i] = data(array)
+        for i in range(f.n_results):
+            array = new_array(f.results[i].rows, f.results[i].columns)
+            results.append(array)
+            found[i] = data(array)
+        at.t, at.n_directions = t, 0
+        at.constants = self._prepare(parameters)
+        at.x = NULL if state is None else data(state)
+        at.r = NULL if x is None else self._fill(t, at.constants, inputs)
+        at.accelerations = NULL if held is None else data(held)
+        at.multipliers = NULL if forces is None else data(forces)
+        status = f.call(&at, given, found, self.work)
+        if status != FB_OK:
+            raise SimulationError(self.failure(status, t, x))
+        return results
 
     def parameter_values(self, p):
         """All parameter values in order; a subclass that knows their names also takes mappings."""
@@ -544,7 +594,7 @@ cdef class Evaluator:
         (6, 6)
         """
         t = time_of(t)
-        return self._differentiate(self.derivatives().sensitivity, self.n_x, t, x, p, r)
+        return self._differentiate(FB_STATE_PARTIALS, self.n_x, t, x, p, r)
 
     def parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the right-hand side with respect to the parameters.
@@ -575,13 +625,13 @@ cdef class Evaluator:
         (6, 8)
         """
         t = time_of(t)
-        cdef cnp.ndarray result = self._differentiate(self.derivatives().parameter_sensitivity, self.n_p, t, x, p, r)
+        cdef cnp.ndarray result = self._differentiate(FB_PARAMETER_PARTIALS, self.n_p, t, x, p, r)
         cdef cnp.ndarray by_inputs
-        cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
+        cdef cnp.ndarray by_parameters = self._default_input_partials(t, p)
         cdef list changing = self._changing(by_parameters, r)
         if not changing:
             return result
-        by_inputs = self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
+        by_inputs = self._differentiate(FB_INPUT_PARTIALS, self.n_r, t, x, p, r)
         return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
 
     def _changing(self, by_parameters, r):
@@ -626,9 +676,8 @@ cdef class Evaluator:
         """
         self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
-        cdef const fb_derivatives *derivatives = self.derivatives()
         return self._differentiate_outputs(
-            derivatives.sensitivity, derivatives.output_sensitivity, self.n_x, t, x, p, r)
+            FB_STATE_PARTIALS, FB_OUTPUT_STATE_PARTIALS, self.n_x, t, x, p, r)
 
     def output_parameter_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the outputs with respect to the parameters.
@@ -658,10 +707,9 @@ cdef class Evaluator:
         """
         self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
-        cdef const fb_derivatives *derivatives = self.derivatives()
         cdef cnp.ndarray result = self._differentiate_outputs(
-            derivatives.parameter_sensitivity, derivatives.output_parameter_sensitivity, self.n_p, t, x, p, r)
-        cdef cnp.ndarray by_parameters = self.default_input_sensitivity(t, p)
+            FB_PARAMETER_PARTIALS, FB_OUTPUT_PARAMETER_PARTIALS, self.n_p, t, x, p, r)
+        cdef cnp.ndarray by_parameters = self._default_input_partials(t, p)
         cdef list changing = self._changing(by_parameters, r)
         if not changing:
             return result
@@ -694,9 +742,8 @@ cdef class Evaluator:
         """
         self.require_output_derivatives(self.manifest["outputs"])
         t = time_of(t)
-        cdef const fb_derivatives *derivatives = self.derivatives()
         return self._differentiate_outputs(
-            derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
+            FB_INPUT_PARTIALS, FB_OUTPUT_INPUT_PARTIALS, self.n_r, t, x, p, r)
 
     def require_output_derivatives(self, names):
         """Raise a ModelError if redundant constraints leave the derivatives of some of these outputs undetermined."""
@@ -709,42 +756,24 @@ cdef class Evaluator:
     def output_derivatives(self, t, x, p=None, r=None):
         """The derivatives of all outputs with respect to state and inputs; see `require_output_derivatives`."""
         t = time_of(t)
-        cdef const fb_derivatives *derivatives = self.derivatives()
         by_state = self._differentiate_outputs(
-            derivatives.sensitivity, derivatives.output_sensitivity, self.n_x, t, x, p, r)
+            FB_STATE_PARTIALS, FB_OUTPUT_STATE_PARTIALS, self.n_x, t, x, p, r)
         return by_state, self._differentiate_outputs(
-            derivatives.input_sensitivity, derivatives.output_input_sensitivity, self.n_r, t, x, p, r)
+            FB_INPUT_PARTIALS, FB_OUTPUT_INPUT_PARTIALS, self.n_r, t, x, p, r)
 
     cdef cnp.ndarray _differentiate_outputs(
-            self, fb_sensitivity *function, fb_output_sensitivity *outputs, int columns, double t, x, p, r):
+            self, int role, int outputs, int columns, double t, x, p, r):
         """dy = y_x dx + y_u' du' + y_lambda dlambda, with du' and dlambda from the equations."""
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray rates = new_array(self.n_x, columns), multiplier_rates = new_array(self.n_l, columns)
-        cdef cnp.ndarray accelerations = new_array(self.n_u), multipliers = new_array(self.n_l)
-        cdef cnp.ndarray result = new_array(self.n_o, columns)
-        cdef cnp.ndarray by_accelerations = new_array(self.n_o, self.n_u)
-        cdef cnp.ndarray by_multipliers = new_array(self.n_o, self.n_l)
-        cdef const fb_derivatives *derivatives = self.derivatives()
         if self.n_o == 0:
-            return result
-        cdef const double *constants = self._prepare(parameters)
-        cdef const double *filled = self._fill(t, constants, inputs)
-        cdef int status = self.kernel.differentiate(
-            derivatives, function, columns, t, data(state), constants, filled, data(rates), data(multiplier_rates),
-            self.work)
-        if status == FB_OK:
-            status = self.kernel.accelerations(
-                t, data(state), constants, filled, data(accelerations), data(multipliers), self.work)
-        if status != FB_OK:
-            raise SimulationError(self.failure(status, t, x))
-        outputs(t, data(state), constants, filled, data(accelerations), data(multipliers), data(result))
-        derivatives.output_solution_sensitivity(
-            t, data(state), constants, filled, data(accelerations), data(multipliers), data(by_accelerations),
-            data(by_multipliers))
+            self._inputs(t, self._parameters(p), r, self.has_inputs)
+            self._state(t, x, self.n_x)
+            return new_array(0, columns)
+        rates, of_multipliers = self._total(role, columns, True, t, x, p, r)
+        solution = self.accelerations(t, x, p, r)
+        [result] = self.evaluate(outputs, t, x, p, r, *solution)
+        by_accelerations, by_multipliers = self.evaluate(FB_OUTPUT_SOLUTION_PARTIALS, t, x, p, r, *solution)
         result += np.matmul(by_accelerations, rates[self.n_q:self.n_q + self.n_u])
-        result += np.matmul(by_multipliers, multiplier_rates)
+        result += np.matmul(by_multipliers, of_multipliers)
         return self._finite_or_raise(result, t, x)
 
     def input_jacobian(self, t, x, p=None, r=None):
@@ -772,7 +801,7 @@ cdef class Evaluator:
         [[0.0], [0.0], [0.0]]
         """
         t = time_of(t)
-        return self._differentiate(self.derivatives().input_sensitivity, self.n_r, t, x, p, r)
+        return self._differentiate(FB_INPUT_PARTIALS, self.n_r, t, x, p, r)
 
     def jvp(self, t, x, dx=None, dp=None, dr=None, p=None, r=None):
         """The derivatives of the right-hand side along directions: products of its Jacobians with vectors.
@@ -828,8 +857,7 @@ cdef class Evaluator:
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray block, rates
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const fb_variations *variations = self.variations()
+        self.function(FB_RESIDUAL_JVP)
         cdef const double *constants = self._prepare(parameters)
         cdef const double *filled = self._fill(t, constants, inputs)
         cdef int status
@@ -837,8 +865,8 @@ cdef class Evaluator:
         for i in range(0, n, FB_DIRECTIONS):
             block, rates = blocks[i // FB_DIRECTIONS], new_array(self.n_x, FB_DIRECTIONS)
             block[self.n_x + self.n_p:, :n - i] += filled_in[2][:, i:i + FB_DIRECTIONS]
-            status = self.kernel.vary(derivatives, variations, t, data(state), constants, filled, NULL, FB_DIRECTIONS,
-                                      data(block), data(rates), self.work)
+            status = self.kernel.jvp(self.functions, t, data(state), constants, filled, NULL, FB_DIRECTIONS,
+                                     data(block), data(rates), self.work)
             if status != FB_OK:
                 raise SimulationError(self.failure(status, t, x))
             result[:, i:i + FB_DIRECTIONS] = rates[:, :n - i]
@@ -888,31 +916,39 @@ cdef class Evaluator:
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray given = np.concatenate((vector(weights, self.n_x, "The weights"), np.zeros(self.n_l)))
         cdef cnp.ndarray gradient = new_array(self.n_x + self.n_p + self.n_r)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const fb_variations *variations = self.variations()
+        self.function(FB_RESIDUAL_JVP)
         in_force = np.array(self.defaults_in_force(r), dtype=bool)
-        by_parameters = self.default_input_sensitivity(t, p) * in_force[:, None]
+        by_parameters = self._default_input_partials(t, p) * in_force[:, None]
         cdef const double *constants = self._prepare(parameters)
-        cdef int status = self.kernel.pull_back(
-            derivatives, variations, t, data(state), constants, self._fill(t, constants, inputs), data(given),
-            data(gradient), self.work)
+        cdef int status = self.kernel.vjp(
+            self.functions, t, data(state), constants, self._fill(t, constants, inputs), data(given), data(gradient),
+            self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
         by_state, by_p, by_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
         return by_state, by_p + by_inputs @ by_parameters, by_inputs
 
-    cdef cnp.ndarray _differentiate(self, fb_sensitivity *function, int columns, double t, x, p, r):
+    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r):
+        return self._total(role, columns, False, t, x, p, r)[0]
+
+    cdef tuple _total(self, int role, int columns, bint of_multipliers, double t, x, p, r):
+        """The derivatives of x', and of the multipliers if they are wanted, from the partial Jacobian of a role."""
+        self.function(role)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = new_array(self.n_x, columns)
+        cdef cnp.ndarray multipliers = new_array(self.n_l if of_multipliers else 0, columns)
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.differentiate(
-            self.kernel.derivatives, function, columns, t, data(state), constants, self._fill(t, constants, inputs),
-            data(result), NULL, self.work)
+            self.functions, role, columns, t, data(state), constants, self._fill(t, constants, inputs),
+            data(result), data(multipliers) if of_multipliers else NULL, self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
-        return result
+        return result, multipliers
+
+    def _default_input_partials(self, t, p):
+        return self.evaluate(FB_DEFAULT_INPUT_PARTIALS, t, None, p)[0]
 
     def accelerations(self, t, x, p=None, r=None):
         """u', shape (n_u,), and the multipliers lambda with unknown forces that drive the motion, shape (n_l,)."""
@@ -930,147 +966,6 @@ cdef class Evaluator:
             raise SimulationError(self.failure(status, t, x))
         return accelerations, multipliers
 
-    def unknown_forces(self, t, x, forces, p=None, r=None):
-        """For unknown forces n: F, (n_u,), dF/dn, Q, (n_n,), dQ/dn, M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
-
-        See ``fourbar_forces.h``.
-        """
-        t = time_of(t)
-        cdef int n = self.n_l - self.n_c
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray given = vector(forces, n, "The unknown forces")
-        cdef cnp.ndarray effect = new_array(self.n_u)
-        cdef cnp.ndarray by_forces = new_array(self.n_u, n)
-        cdef cnp.ndarray rest = new_array(n)
-        cdef cnp.ndarray rest_by_forces = new_array(n, n)
-        cdef cnp.ndarray mass = new_array(n, self.n_u)
-        cdef cnp.ndarray jacobian = new_array(n, self.n_c)
-        cdef const double *constants = self._prepare(parameters)
-        if n:
-            self.kernel.unknown_forces(
-                t, data(state), constants, self._fill(t, constants, inputs), data(given), data(effect), data(by_forces),
-                data(rest), data(rest_by_forces), data(mass), data(jacobian))
-        else:
-            effect[:] = 0.0
-        return effect, by_forces, rest, rest_by_forces, mass, jacobian
-
-    def dynamics(self, t, x, p=None, r=None):
-        """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray rates = new_array(self.n_q)
-        cdef cnp.ndarray mass_matrix = new_array(self.n_u, self.n_u)
-        cdef cnp.ndarray forcing = new_array(self.n_u)
-        cdef cnp.ndarray jacobian = new_array(self.n_c, self.n_u)
-        cdef cnp.ndarray bias = new_array(self.n_c)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.dynamics(t, data(state), constants, self._fill(t, constants, inputs), data(rates),
-                             data(mass_matrix), data(forcing), data(jacobian), data(bias))
-        return rates, mass_matrix, forcing, jacobian, bias
-
-    def position(self, t, q, p=None, r=None):
-        """The position constraints, shape (n_h,), and their Jacobian, shape (n_h, n_q)."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
-        cdef cnp.ndarray constraints = new_array(self.n_h)
-        cdef cnp.ndarray jacobian = new_array(self.n_h, self.n_q)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.position(t, data(coordinates), constants, self._fill(t, constants, inputs), data(constraints),
-                             data(jacobian))
-        return constraints, jacobian
-
-    def velocity(self, t, x, p=None, r=None):
-        """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray jacobian = new_array(self.n_c, self.n_u)
-        cdef cnp.ndarray bias = new_array(self.n_c)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.velocity(t, data(state), constants, self._fill(t, constants, inputs), data(jacobian),
-                             data(bias))
-        return jacobian, bias
-
-    def constraint_violation(self, t, x, p=None, r=None):
-        """Constraint violations: of positions, in the rows of J and then invariants, and of velocities.
-
-        Their shapes are (n_c + n_i,) and (n_c,).
-        """
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
-        cdef cnp.ndarray velocities = new_array(self.n_c)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.constraint_violation(
-            t, data(state), constants, self._fill(t, constants, inputs), data(positions), data(velocities))
-        return positions, velocities
-
-    def constraint_scale(self, t, x, p=None, r=None):
-        """Scales of violations.
-
-        Those of the position constraints, shape (n_h,), and of both results of `constraint_violation`.
-        """
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray constraints = new_array(self.n_h)
-        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
-        cdef cnp.ndarray velocities = new_array(self.n_c)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.constraint_scale(t, data(state), constants, self._fill(t, constants, inputs), data(constraints),
-                                     data(positions), data(velocities))
-        return constraints, positions, velocities
-
-    def coordinate_change(self, t, x, change, p=None, r=None):
-        """K v, the change of the coordinates, shape (n_q,), for a change v of the speeds' integrals."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray v = vector(change, self.n_u, "The change")
-        cdef cnp.ndarray result = new_array(self.n_q)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.coordinate_change(t, data(state), constants, self._fill(t, constants, inputs), data(v),
-                                      data(result))
-        return result
-
-    def invariant_correction(self, t, q, p=None, r=None):
-        """The change of the coordinates, shape (n_q,), that corrects invariants (constraints that no speed changes)."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray coordinates = self._state(t, q, self.n_q)
-        cdef cnp.ndarray result = new_array(self.n_q)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.invariant_correction(t, data(coordinates), constants, self._fill(t, constants, inputs),
-                                         data(result))
-        return result
-
-    def constraint_sensitivity(self, t, x, p=None, r=None):
-        """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray by_coordinates = new_array(self.n_c, self.n_q)
-        cdef cnp.ndarray positions, velocities
-        positions, velocities = new_array(self.n_h, self.n_r), new_array(self.n_c, self.n_r)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        derivatives.constraint_sensitivity(t, data(state), constants, self._fill(t, constants, inputs),
-                                           data(by_coordinates), data(positions), data(velocities))
-        return by_coordinates, positions, velocities
-
     def constraint_variation(self, t, x, directions, p=None, r=None):
         """The derivatives of the constraint violations along directions of (x, p, r), shape (n_x + n_p + n_r, n).
 
@@ -1083,37 +978,24 @@ cdef class Evaluator:
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef int i, n = np.shape(directions)[1]
         cdef cnp.ndarray block, position, velocity
-        cdef const fb_variations *variations = self.variations()
+        cdef const fb_function *f = self.function(FB_CONSTRAINT_JVP)
+        cdef fb_at at
+        cdef const double *given[1]
+        cdef double *found[2]
         blocks = self._blocks(t, directions, p, r)
         positions, velocities = np.empty((self.n_c + self.n_i, n)), np.empty((self.n_c, n))
-        cdef const double *constants = self._prepare(parameters)
-        cdef const double *filled = self._fill(t, constants, inputs)
+        at.t, at.x, at.n_directions = t, data(state), FB_DIRECTIONS
+        at.constants = self._prepare(parameters)
+        at.r = self._fill(t, at.constants, inputs)
+        at.accelerations = at.multipliers = NULL
         for i in range(0, n, FB_DIRECTIONS):
             block = blocks[i // FB_DIRECTIONS]
             position, velocity = new_array(self.n_c + self.n_i, FB_DIRECTIONS), new_array(self.n_c, FB_DIRECTIONS)
-            variations.constraint_variation(t, data(state), constants, filled, FB_DIRECTIONS, data(block),
-                                            data(position), data(velocity))
+            given[0], found[0], found[1] = data(block), data(position), data(velocity)
+            f.call(&at, given, found, self.work)
             positions[:, i:i + FB_DIRECTIONS] = position[:, :n - i]
             velocities[:, i:i + FB_DIRECTIONS] = velocity[:, :n - i]
         return positions, velocities
-
-    def constraint_pullback(self, t, x, weights, p=None, r=None):
-        """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.
-
-        Weights have the shape (2 n_c + n_i,), for both results of `constraint_violation`. Inputs do not follow the
-        parameters.
-        """
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray given = vector(weights, 2 * self.n_c + self.n_i, "The weights")
-        cdef cnp.ndarray gradient = new_array(self.n_x + self.n_p + self.n_r)
-        cdef const fb_variations *variations = self.variations()
-        cdef const double *constants = self._prepare(parameters)
-        variations.constraint_pullback(t, data(state), constants, self._fill(t, constants, inputs), data(given),
-                                       data(gradient))
-        return gradient
 
     def _blocks(self, t, directions, p, r):
         """Directions of (x, p, r), shape (n_x + n_p + n_r, n), as blocks with FB_DIRECTIONS columns."""
@@ -1122,72 +1004,11 @@ cdef class Evaluator:
         given = directions
         if rows < self.n_x + self.n_p + self.n_r:
             in_force = np.array(self.defaults_in_force(r), dtype=bool)[:, None]
-            of_inputs = (self.default_input_sensitivity(t, p) * in_force) @ directions[self.n_x:]
+            of_inputs = (self._default_input_partials(t, p) * in_force) @ directions[self.n_x:]
             given = np.vstack((directions, of_inputs))
         for i in range(n):
             blocks[i // FB_DIRECTIONS, :, i % FB_DIRECTIONS] = given[:, i]
         return blocks
-
-    def energy(self, t, x, p=None, r=None):
-        """Kinetic and potential energy, shape (2,)."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray energies = new_array(2)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.energy(t, data(state), constants, self._fill(t, constants, inputs), data(energies))
-        return energies
-
-    def drawing(self, t, x, p=None, r=None):
-        """Positions of the drawn points, shape (n_points, 3), and the inputs' forces, shape (n_forces, 3)."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray points = new_array(self.kernel.n_points, 3)
-        cdef cnp.ndarray forces = new_array(self.kernel.n_forces, 3)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        derivatives.drawing(t, data(state), constants, self._fill(t, constants, inputs), data(points), data(forces))
-        return points, forces
-
-    def motion(self, t, x, accelerations, p=None, r=None):
-        """q'', shape (n_q,), and velocities and accelerations of the drawn points, (n_points, 3), with u' given."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray rates = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray second = new_array(self.n_q)
-        cdef cnp.ndarray velocities = new_array(self.kernel.n_points, 3)
-        cdef cnp.ndarray of_points = new_array(self.kernel.n_points, 3)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        derivatives.motion(t, data(state), constants, self._fill(t, constants, inputs), data(rates), data(second),
-                           data(velocities), data(of_points))
-        return second, velocities, of_points
-
-    def drawing_along(self, times, states, inputs, p=None):
-        """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
-        cdef cnp.ndarray t = numbers(times, "The times")
-        cdef cnp.ndarray x = rows(states, "The states")
-        cdef cnp.ndarray r = rows(inputs, "The inputs")
-        cdef cnp.ndarray parameters = self._parameters(p)
-        self._check_columns(t, x, r)
-        cdef int i, n_t = np.size(t)
-        cdef cnp.ndarray points = new_array(n_t, 3 * self.kernel.n_points)
-        cdef cnp.ndarray forces = new_array(n_t, 3 * self.kernel.n_forces)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        for i in range(n_t):
-            derivatives.drawing(data(t)[i], data(x) + i * self.n_x, constants, data(r) + i * self.n_r,
-                                data(points) + i * 3 * self.kernel.n_points,
-                                data(forces) + i * 3 * self.kernel.n_forces)
-        return [
-            np.moveaxis(points.reshape(n_t, self.kernel.n_points, 3), 0, 2),
-            np.moveaxis(forces.reshape(n_t, self.kernel.n_forces, 3), 0, 2),
-        ]
 
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1:
         if np.ndim(t) != 1 or np.shape(x) != (np.size(t), self.n_x) or np.shape(r) != (np.size(t), self.n_r):
@@ -1196,172 +1017,69 @@ cdef class Evaluator:
                 f"inputs of shape ({self.n_r}, {np.size(t)}), not {np.shape(r)[::-1]}.")
         return 0
 
-    def outputs_for(self, t, x, accelerations, multipliers, p=None, r=None):
-        """The outputs, shape (n_o,), for given u' and lambda."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
-        cdef cnp.ndarray outputs = new_array(self.n_o)
-        cdef const double *constants = self._prepare(parameters)
-        self.kernel.output(t, data(state), constants, self._fill(t, constants, inputs), data(a), data(lam),
-                           data(outputs))
-        return outputs
-
-    def state_rates_for(self, t, x, accelerations, multipliers, p=None, r=None):
-        """z', shape (n_z,), for given u' and lambda."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
-        cdef cnp.ndarray rates = new_array(self.n_z)
-        cdef const double *constants = self._prepare(parameters)
-        if self.n_z:
-            self.kernel.state_rates(t, data(state), constants, self._fill(t, constants, inputs), data(a), data(lam),
-                                    data(rates))
-        return rates
-
-    def state_rate_sensitivity(self, t, x, accelerations, multipliers, p=None, r=None):
-        """Dz'/du', shape (n_z, n_u), and dz'/dlambda, shape (n_z, n_l), for given u' and lambda."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
-        cdef cnp.ndarray by_accelerations = new_array(self.n_z, self.n_u)
-        cdef cnp.ndarray by_multipliers = new_array(self.n_z, self.n_l)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        if self.n_z:
-            derivatives.state_rate_sensitivity(t, data(state), constants, self._fill(t, constants, inputs), data(a),
-                                               data(lam), data(by_accelerations), data(by_multipliers))
-        return by_accelerations, by_multipliers
-
-    def sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
-        """The sensitivities with respect to x, p and r for given u' and lambda, six arrays.
-
-        They are dq', shape (n_q, n), and d(f - M u' + J^T lambda, -(J u' + gamma), z'), shape (n_u + n_l + n_z, n).
-        """
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
-        cdef cnp.ndarray rates, residuals
-        cdef list results = []
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        cdef const double *filled = self._fill(t, constants, inputs)
-        cdef fb_sensitivity *functions[3]
-        cdef int i
-        cdef int columns[3]
-        functions[0], columns[0] = derivatives.sensitivity, self.n_x
-        functions[1], columns[1] = derivatives.parameter_sensitivity, self.n_p
-        functions[2], columns[2] = derivatives.input_sensitivity, self.n_r
-        for i in range(3):
-            rates = new_array(self.n_q, columns[i])
-            residuals = new_array(self.n_u + self.n_l + self.n_z, columns[i])
-            functions[i](t, data(state), constants, filled, data(a), data(lam), data(rates), data(residuals))
-            results += [rates, residuals]
-        return results
-
-    def output_sensitivities(self, t, x, accelerations, multipliers, p=None, r=None):
-        """The outputs' derivatives with respect to x, p, r, u' and lambda, each with the others fixed, five arrays."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
-        cdef cnp.ndarray state = self._state(t, x, self.n_x)
-        cdef cnp.ndarray a = vector(accelerations, self.n_u, "The accelerations")
-        cdef cnp.ndarray lam = vector(multipliers, self.n_l, "The multipliers")
-        cdef cnp.ndarray by_state = new_array(self.n_o, self.n_x)
-        cdef cnp.ndarray by_parameters = new_array(self.n_o, self.n_p)
-        cdef cnp.ndarray by_inputs = new_array(self.n_o, self.n_r)
-        cdef cnp.ndarray by_accelerations = new_array(self.n_o, self.n_u)
-        cdef cnp.ndarray by_multipliers = new_array(self.n_o, self.n_l)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        cdef const double *constants = self._prepare(parameters)
-        cdef const double *filled = self._fill(t, constants, inputs)
-        if self.n_o:
-            derivatives.output_sensitivity(t, data(state), constants, filled, data(a), data(lam), data(by_state))
-            derivatives.output_parameter_sensitivity(
-                t, data(state), constants, filled, data(a), data(lam), data(by_parameters))
-            derivatives.output_input_sensitivity(t, data(state), constants, filled, data(a), data(lam), data(by_inputs))
-            derivatives.output_solution_sensitivity(
-                t, data(state), constants, filled, data(a), data(lam), data(by_accelerations), data(by_multipliers))
-        return by_state, by_parameters, by_inputs, by_accelerations, by_multipliers
-
     def parameter_vector(self, p):
         """The parameters, given as for `rhs`, checked and copied; None for the defaults."""
         cdef cnp.ndarray values = self._parameters(p)
         return None if values is None else np.array(values)
 
-    def default_inputs(self, t, p=None):
-        """The inputs' expressions at one time, shape (n_r,); NaN for inputs without one."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = new_array(self.n_r)
-        self.kernel.default_inputs(t, self._prepare(parameters), data(inputs))
-        return inputs
+    def evaluate_along(self, wanted, times, states, inputs, p=None):
+        """Results of functions of the table for states and inputs in columns.
 
-    def breakpoints(self, p=None):
-        """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray times = new_array(self.kernel.n_breakpoints)
-        self.kernel.breakpoints(self._prepare(parameters), data(times))
-        return times
+        Parameters
+        ----------
+        wanted : mapping of Role to sequence of int
+            The functions, and the places of the results that are wanted.
+        times : array_like, shape (n_t,)
+        states : array_like, shape (n_x, n_t)
+        inputs : array_like, shape (n_r, n_t)
+        p : array_like or mapping, optional
 
-    def default_input_sensitivity(self, t, p=None):
-        """The derivatives of the inputs' expressions with respect to parameters, shape (n_r, n_p); 0 without one."""
-        t = time_of(t)
-        cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray result = new_array(self.n_r, self.n_p)
-        cdef const fb_derivatives *derivatives = self.derivatives()
-        derivatives.default_input_sensitivity(t, self._prepare(parameters), data(result))
-        return result
-
-    def along(self, times, states, inputs, p=None):
-        """Position constraints, (n_h, n_t), J u + b, (n_c, n_t), energies, (2, n_t), multipliers, (n_c, n_t), and
-        outputs, (n_o, n_t).
-
-        States and inputs are given in columns. Multipliers and outputs are NaN where the accelerations cannot be
-        evaluated.
+        Returns
+        -------
+        multipliers : ndarray, shape (n_l, n_t)
+            If a function needs them or u'. NaN where they cannot be evaluated, as are the results of these functions.
+        list of ndarray
+            In the order in which they are wanted; the last axis is time.
         """
         cdef cnp.ndarray t = numbers(times, "The times")
         cdef cnp.ndarray x = rows(states, "The states")
         cdef cnp.ndarray r = rows(inputs, "The inputs")
         cdef cnp.ndarray parameters = self._parameters(p)
         self._check_columns(t, x, r)
-        cdef int n_t = cnp.PyArray_DIM(t, 0)
-        cdef cnp.ndarray constraints = new_array(n_t, self.n_h)
-        cdef cnp.ndarray velocities = new_array(n_t, self.n_c)
-        cdef cnp.ndarray positions = new_array(self.n_c + self.n_i)
-        cdef cnp.ndarray energies = new_array(n_t, 2)
-        cdef cnp.ndarray multipliers = np.full((n_t, self.n_l), NAN)
-        cdef cnp.ndarray outputs = np.full((n_t, self.n_o), NAN)
-        cdef cnp.ndarray jacobian = new_array(self.n_h, self.n_q)
-        cdef cnp.ndarray accelerations = new_array(self.n_u)
-        cdef const double *constants = self._prepare(parameters)
-        cdef const double *x_i
-        cdef const double *r_i
-        cdef double *lambda_i
-        cdef double t_i
-        cdef int i
-        for i in range(n_t):
-            t_i, x_i, r_i = data(t)[i], data(x) + i * self.n_x, data(r) + i * self.n_r
-            lambda_i = data(multipliers) + i * self.n_l
-            self.kernel.position(t_i, x_i, constants, r_i, data(constraints) + i * self.n_h, data(jacobian))
-            self.kernel.constraint_violation(t_i, x_i, constants, r_i, data(positions), data(velocities) + i * self.n_c)
-            self.kernel.energy(t_i, x_i, constants, r_i, data(energies) + 2 * i)
-            if self.kernel.accelerations(t_i, x_i, constants, r_i, data(accelerations), lambda_i, self.work) == FB_OK:
-                self.kernel.output(t_i, x_i, constants, r_i, data(accelerations), lambda_i,
-                                   data(outputs) + i * self.n_o)
-        return constraints.T, velocities.T, energies.T, multipliers[:, :self.n_c].T, outputs.T
+        cdef int n_t = cnp.PyArray_DIM(t, 0), i, j, size, role
+        cdef cnp.ndarray multipliers = np.full((n_t, self.n_l), NAN), accelerations = new_array(self.n_u), array
+        cdef const fb_function *f
+        cdef double *found[FB_ARRAYS]
+        cdef int steps[FB_ARRAYS]
+        cdef fb_at at
+        cdef bint solved
+        results = []
+        for role, places in wanted.items():
+            f = self.function(role)
+            arrays = []
+            for j in range(f.n_results):
+                size = f.results[j].rows * (1 if f.results[j].columns == FB_VECTOR else f.results[j].columns)
+                array = np.full((n_t if j in places else 1, size), NAN)
+                steps[j] = size if j in places else 0
+                found[j] = data(array)
+                arrays.append(array)
+            at.n_directions, at.accelerations, at.constants = 0, data(accelerations), self._prepare(parameters)
+            for i in range(n_t):
+                at.t, at.x, at.r = data(t)[i], data(x) + i * self.n_x, data(r) + i * self.n_r
+                at.multipliers = data(multipliers) + i * self.n_l
+                solved = not f.needs & (FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS) or self.kernel.accelerations(
+                    at.t, at.x, at.constants, at.r, data(accelerations), data(multipliers) + i * self.n_l,
+                    self.work) == FB_OK
+                if solved:
+                    f.call(&at, NULL, found, self.work)
+                for j in range(f.n_results):
+                    found[j] += steps[j]
+            for j in places:
+                array = arrays[j]
+                if f.results[j].columns != FB_VECTOR:
+                    array = np.reshape(array, (n_t, f.results[j].rows, f.results[j].columns))
+                results.append(np.moveaxis(array, 0, -1))
+        return multipliers.T, results
 
 
 def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, int n_ud, p, r):
@@ -1395,7 +1113,7 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     cdef cnp.ndarray inputs = evaluator._inputs(t, parameters, r, evaluator.has_motions)
     cdef cnp.ndarray state = evaluator._state(t, x, evaluator.n_x), given = numbers(directions, "The directions")
     cdef cnp.ndarray correction = np.zeros(evaluator.n_x), followed = given.copy(), memory, left
-    cdef const fb_variations *variations = evaluator.variations()
+    evaluator.function(FB_CONSTRAINT_JVP)
     cdef const double *constants = evaluator._prepare(parameters)
     cdef fb_follow f
     cdef int i, rows = evaluator.n_x + evaluator.n_p + evaluator.n_r, n_d = n_qd + n_ud, found
@@ -1405,7 +1123,7 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     for i in range(rows):
         memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
     found = fb_follow_at(
-        evaluator.kernel, variations, t, data(state), constants, evaluator._fill(t, constants, inputs), &f)
+        evaluator.kernel, t, data(state), constants, evaluator._fill(t, constants, inputs), &f)
     for i in range(rows):
         memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
     memcpy(data(correction) + evaluator.n_q - n_qd, f.corrections, n_qd * sizeof(double))

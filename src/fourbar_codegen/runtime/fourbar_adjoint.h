@@ -18,8 +18,6 @@
 #include "fourbar_jumps.h"
 
 typedef struct fb_adjoint {
-    const fb_derivatives *derivatives;
-    const fb_variations *variations;
     const double *rows; /* (n_rows, 2 + n_x), as `fb_steps` */
     fb_jump jump;       /* at the beginning of the present piece */
     /* the samples: the row whose step contains each, and its time; cost's derivatives by states and outputs there */
@@ -65,7 +63,7 @@ static inline void fb_pull_back_inputs(const fb_problem *p, fb_adjoint *a, const
     }
     if (p->n_sources == k->n_r)
         return;
-    a->derivatives->default_input_sensitivity(t, p->constants, a->input_jacobian);
+    fb_problem_results(p, FB_DEFAULT_INPUT_PARTIALS, t, NULL, NULL, NULL, NULL, &a->input_jacobian);
     for (int i = 0; i < k->n_r; ++i)
         for (int j = 0; j < k->n_p && by_inputs[i] != 0.0; ++j)
             a->by_parameters[j] += a->input_jacobian[i * k->n_p + j] * by_inputs[i];
@@ -92,8 +90,7 @@ static inline int fb_pull_back_rates(fb_problem *p, fb_adjoint *a, const double 
     fb_fill_inputs(p, t, x);
     memcpy(a->weights, by_rates, (size_t)k->n_x * sizeof *by_rates);
     memset(a->weights + k->n_x, 0, (size_t)k->n_l * sizeof *by_rates);
-    const int status =
-        k->pull_back(a->derivatives, a->variations, t, x, p->constants, p->inputs, a->weights, a->gradient, p->work);
+    const int status = k->vjp(k->functions, t, x, p->constants, p->inputs, a->weights, a->gradient, p->work);
     if (status == FB_OK)
         fb_take_gradient(p, a, t, by_state);
     return status;
@@ -109,8 +106,7 @@ static inline int fb_pull_back_projection(fb_problem *p, fb_adjoint *a, const do
     memcpy(a->gradient, by_state, (size_t)k->n_x * sizeof *by_state);
     memset(a->gradient + k->n_x, 0, (size_t)(k->n_p + k->n_r) * sizeof *by_state);
     memset(by_state, 0, (size_t)k->n_x * sizeof *by_state);
-    const int status =
-        k->pull_back_closed(a->derivatives, a->variations, t, x, p->constants, p->inputs, a->gradient, p->work);
+    const int status = k->projection_vjp(k->functions, t, x, p->constants, p->inputs, a->gradient, p->work);
     if (status == FB_OK)
         fb_take_gradient(p, a, t, by_state);
     return status;
@@ -128,12 +124,10 @@ static inline int fb_pull_back_jump(fb_problem *p, fb_adjoint *a, const double *
     memcpy(a->weights + k->n_q, by_state + k->n_q, (size_t)k->n_u * sizeof *g);
     fb_fill_jump(p, jump, x);
     fb_take_jump(p, jump, 0);
-    int status = k->pull_back(a->derivatives, a->variations, jump->t_after, x, p->constants, p->inputs, a->weights,
-                              a->other, p->work);
+    int status = k->vjp(k->functions, jump->t_after, x, p->constants, p->inputs, a->weights, a->other, p->work);
     fb_take_jump(p, jump, 1);
     if (status == FB_OK)
-        status = k->pull_back(a->derivatives, a->variations, jump->t_after, x, p->constants, p->inputs, a->weights, g,
-                              p->work);
+        status = k->vjp(k->functions, jump->t_after, x, p->constants, p->inputs, a->weights, g, p->work);
     if (status != FB_OK)
         return status;
     for (int i = 0; i < n_x + n_p; ++i)
@@ -168,7 +162,6 @@ static inline int fb_pull_back_outputs(fb_problem *p, fb_adjoint *a, const doubl
                                        const double *by_outputs, double *by_state)
 {
     const fb_kernel *const k = p->kernel;
-    const fb_derivatives *const d = a->derivatives;
     const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r, n_o = k->n_o;
     double *const u = a->solution, *const l = a->solution + k->n_u, *const c = p->constants, *const g = a->gradient;
     fb_fill_inputs(p, t, x);
@@ -176,18 +169,19 @@ static inline int fb_pull_back_outputs(fb_problem *p, fb_adjoint *a, const doubl
     if (status != FB_OK)
         return status;
     memset(g, 0, (size_t)(n_x + n_p + n_r) * sizeof *g);
-    d->output_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_problem_results(p, FB_OUTPUT_STATE_PARTIALS, t, x, u, l, NULL, &a->jacobian);
     fb_add_products(a->jacobian, by_outputs, n_o, n_x, g);
-    d->output_parameter_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_problem_results(p, FB_OUTPUT_PARAMETER_PARTIALS, t, x, u, l, NULL, &a->jacobian);
     fb_add_products(a->jacobian, by_outputs, n_o, n_p, g + n_x);
-    d->output_input_sensitivity(t, x, c, p->inputs, u, l, a->jacobian);
+    fb_problem_results(p, FB_OUTPUT_INPUT_PARTIALS, t, x, u, l, NULL, &a->jacobian);
     fb_add_products(a->jacobian, by_outputs, n_o, n_r, g + n_x + n_p);
     fb_take_gradient(p, a, t, by_state);
-    d->output_solution_sensitivity(t, x, c, p->inputs, u, l, a->jacobian, a->jacobian + n_o * k->n_u);
+    double *const by_solution[] = {a->jacobian, a->jacobian + n_o * k->n_u};
+    fb_problem_results(p, FB_OUTPUT_SOLUTION_PARTIALS, t, x, u, l, NULL, by_solution);
     memset(a->weights, 0, (size_t)(n_x + k->n_l) * sizeof *g);
     fb_add_products(a->jacobian, by_outputs, n_o, k->n_u, a->weights + k->n_q);
     fb_add_products(a->jacobian + n_o * k->n_u, by_outputs, n_o, k->n_l, a->weights + n_x);
-    status = k->pull_back(d, a->variations, t, x, c, p->inputs, a->weights, g, p->work);
+    status = k->vjp(k->functions, t, x, c, p->inputs, a->weights, g, p->work);
     if (status == FB_OK)
         fb_take_gradient(p, a, t, by_state);
     return status;

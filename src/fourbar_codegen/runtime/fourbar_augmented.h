@@ -255,9 +255,10 @@ static inline void fb_augmented_state_rates(fb_run *s, const double t, const dou
 {
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
+    double *const results[] = {rates + k->n_q + k->n_u};
     if (k->n_z > 0)
-        k->state_rates(t, x, p->constants, p->inputs, accelerations,
-                       fb_kernels_multipliers(k, s->augmented, s->augmented->multipliers), rates + k->n_q + k->n_u);
+        fb_problem_results(p, FB_STATE_RATES, t, x, accelerations,
+                           fb_kernels_multipliers(k, s->augmented, s->augmented->multipliers), NULL, results);
 }
 
 /* The size of a row of J, by its largest entry. */
@@ -278,8 +279,8 @@ static inline void fb_choose_row_units(fb_run *s, const double t, const double *
     const fb_kernel *const k = p->kernel;
     fb_augmented *const a = s->augmented;
     const int n = k->n_c + k->n_i;
-    double scale = 0.0, size = 0.0;
-    k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
+    double scale = 0.0, size = 0.0, *const scales[] = {a->scales + n + k->n_c, a->scales, a->scales + n};
+    fb_problem_results(p, FB_CONSTRAINT_SCALE, t, x, NULL, NULL, NULL, scales);
     for (int row = 0; row < k->n_c; ++row)
         if (a->scales[row] > 0.0) {
             scale = fb_max(scale, a->scales[row]);
@@ -326,8 +327,9 @@ static inline void fb_newton_matrix(fb_run *s, const double t, const double h, c
     const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n = n_u + n_z;
     a->n_jacobians += 1;
     fb_take_mass(k, a, n, a->matrix);
-    k->derivatives->sensitivity(t, x, p->constants, p->inputs, accelerations,
-                                fb_kernels_multipliers(k, a, a->penalized), a->rate_jacobian, a->residual_jacobian);
+    double *const partials[] = {a->rate_jacobian, a->residual_jacobian};
+    fb_problem_results(p, FB_STATE_PARTIALS, t, x, accelerations, fb_kernels_multipliers(k, a, a->penalized), NULL,
+                       partials);
     for (int j = 0; j < n_u; ++j) {
         memset(a->unit, 0, (size_t)n_u * sizeof(double));
         a->unit[j] = 1.0;
@@ -449,7 +451,8 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         if (called < 0)
             return called;
         const int n = k->n_c + k->n_i;
-        k->constraint_scale(t, x, p->constants, p->inputs, a->scales + n + k->n_c, a->scales, a->scales + n);
+        double *const scales[] = {a->scales + n + k->n_c, a->scales, a->scales + n};
+        fb_problem_results(p, FB_CONSTRAINT_SCALE, t, x, NULL, NULL, NULL, scales);
         for (int row = 0; row < k->n_c; ++row)
             a->scales[row] *= a->row_unit[row];
         const double violation = fb_violation(a->positions, a->scales, n);
@@ -460,7 +463,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         if (!fb_least_change(k, a, a->positions))
             return FB_RUN_DIVERGED;
         k->coordinate_change(t, x, p->constants, p->inputs, a->change, a->coordinate_change);
-        k->invariant_correction(t, x, p->constants, p->inputs, a->correction);
+        fb_problem_results(p, FB_INVARIANT_CORRECTION, t, x, NULL, NULL, NULL, &a->correction);
         for (int j = 0; j < k->n_q; ++j)
             x[j] += a->coordinate_change[j] + a->correction[j];
         if (i == FB_MAX_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))

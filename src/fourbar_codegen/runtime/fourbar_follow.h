@@ -114,8 +114,8 @@ static inline void fb_follow_store(fb_follow *f, const int row, const int n_d, d
 }
 
 /* Fills the dependent rows of directions; an FB_FOLLOW. */
-static inline int fb_follow_at(const fb_kernel *k, const fb_variations *variations, const double t, const double *x,
-                               const double *constants, const double *r, fb_follow *f)
+static inline int fb_follow_at(const fb_kernel *k, const double t, const double *x, const double *constants,
+                               const double *r, fb_follow *f)
 {
     const int rows = k->n_x + k->n_p + k->n_r, columns = f->n_qd + f->n_ud + f->n;
     const int n_p = k->n_c + k->n_i, q_d = k->n_q - f->n_qd, u_d = k->n_q + k->n_u - f->n_ud;
@@ -133,7 +133,10 @@ static inline int fb_follow_at(const fb_kernel *k, const fb_variations *variatio
         const int n = columns - begin < FB_DIRECTIONS ? columns - begin : FB_DIRECTIONS;
         for (int i = 0; i < rows; ++i)
             memcpy(f->block + i * n, f->directions + i * columns + begin, (size_t)n * sizeof(double));
-        variations->constraint_variation(t, x, constants, r, n, f->block, of_block, velocities);
+        const fb_at at = {t, x, constants, r, NULL, NULL, n};
+        const double *const directions[] = {f->block};
+        double *const products[] = {of_block, velocities};
+        k->functions[FB_CONSTRAINT_JVP].call(&at, directions, products, NULL);
         for (int i = 0; i < n_p; ++i)
             memcpy(f->changes + i * (columns + 1) + begin, of_block + i * n, (size_t)n * sizeof(double));
         for (int i = 0; i < k->n_c; ++i)

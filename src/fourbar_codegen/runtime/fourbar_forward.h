@@ -35,8 +35,6 @@
 enum { FB_FEW_DIRECTIONS = 4 };
 
 typedef struct fb_forward {
-    const fb_derivatives *derivatives;
-    const fb_variations *variations;
     int n_blocks, width; /* of blocks: FB_DIRECTIONS, or FB_FEW_DIRECTIONS if these are enough */
     int size;            /* of a row: (n_blocks, n_x, width), padded to whole FB_BLOCKs */
     /* (n_blocks, n_x + n_p + n_r, width): the rows of p are given, those of the others are filled */
@@ -101,7 +99,7 @@ static inline void fb_forward_inputs(fb_run *run, const double t)
     const int n_p = p->kernel->n_p;
     if (p->kernel->n_r == 0)
         return;
-    f->derivatives->default_input_sensitivity(t, p->constants, f->input_jacobian);
+    fb_problem_results(p, FB_DEFAULT_INPUT_PARTIALS, t, NULL, NULL, NULL, NULL, &f->input_jacobian);
     for (int i = 0; i < p->n_sources; ++i)
         memset(f->input_jacobian + p->sources[i].input * n_p, 0, (size_t)n_p * sizeof *f->input_jacobian);
 }
@@ -174,8 +172,8 @@ static inline int fb_forward_rates(fb_run *run, const int row, const int is_know
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
         const double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary(f->derivatives, f->variations, t, x, p->constants, p->inputs, known, f->width, directions,
-                            rates + block * n, p->work) != FB_OK)
+        if (p->kernel->jvp(p->kernel->functions, t, x, p->constants, p->inputs, known, f->width, directions,
+                           rates + block * n, p->work) != FB_OK)
             for (int i = 0; i < n; ++i)
                 rates[block * n + i] = NAN;
     }
@@ -219,8 +217,8 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
                     const int place = jump->rate[i] * f->width + j;
                     of_inputs[i * f->width + j] = jumps ? of_inputs[place] - before[place] : 0.0;
                 }
-            status = k->vary(f->derivatives, f->variations, jump->t_after, x, p->constants, p->inputs, NULL, f->width,
-                             directions, jumps ? rates : others, p->work);
+            status = k->jvp(k->functions, jump->t_after, x, p->constants, p->inputs, NULL, f->width, directions,
+                            jumps ? rates : others, p->work);
         }
         for (int i = k->n_q * f->width; i < (k->n_q + k->n_u) * f->width; ++i)
             s[block * n + i] += rates[i] - others[i];
@@ -241,8 +239,8 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
         double *const directions = fb_forward_directions(run, block, t, s);
-        if (p->kernel->vary_closed(f->derivatives, f->variations, t, x, p->constants, p->inputs, last, f->width,
-                                   directions, p->work) == FB_OK)
+        if (p->kernel->projection_jvp(p->kernel->functions, t, x, p->constants, p->inputs, last, f->width, directions,
+                                      p->work) == FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
         else
             for (int i = 0; i < n; ++i)

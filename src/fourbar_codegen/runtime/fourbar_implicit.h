@@ -88,10 +88,15 @@ static inline int fb_implicit_equations(fb_implicit *s, const double t, const do
     if (called < 0)
         return called;
     k->dynamics(t, y, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
-    if (k->unknown_forces)
-        k->unknown_forces(t, y, p->constants, p->inputs, y + k->n_x + k->n_c, s->effect, s->effect_jacobian,
-                          s->auxiliary_forcing, s->auxiliary_forcing_jacobian, s->auxiliary_mass,
-                          s->auxiliary_constraint_jacobian);
+    const double *const forces[] = {y + k->n_x + k->n_c};
+    double *const of_forces[] = {s->effect,
+                                 s->effect_jacobian,
+                                 s->auxiliary_forcing,
+                                 s->auxiliary_forcing_jacobian,
+                                 s->auxiliary_mass,
+                                 s->auxiliary_constraint_jacobian};
+    if (k->n_l > k->n_c)
+        fb_problem_results(p, FB_UNKNOWN_FORCES, t, y, NULL, NULL, forces, of_forces);
     if (s->formulation != FB_INDEX_1)
         k->position(t, y, p->constants, p->inputs, s->positions, s->position_jacobian);
     return 0;
@@ -140,7 +145,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
         residual[n_q + i] = sum;
     }
     if (n_z > 0)
-        k->state_rates(t, y, p->constants, p->inputs, y_rate + n_q, lambda, s->state_rates);
+        fb_problem_results(p, FB_STATE_RATES, t, y, y_rate + n_q, lambda, NULL, &s->state_rates);
     for (int i = n_x - n_z; i < n_x; ++i)
         residual[i] = y_rate[i] - s->state_rates[i - (n_x - n_z)];
     for (int row = 0; row < n_l - n_c; ++row) {
@@ -215,8 +220,8 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
     const int called = fb_implicit_equations(s, t, y);
     if (called < 0)
         return called;
-    k->derivatives->sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x, s->rate_jacobian,
-                                s->residual_jacobian);
+    double *const partials[] = {s->rate_jacobian, s->residual_jacobian};
+    fb_problem_results(p, FB_STATE_PARTIALS, t, y, y_rate + n_q, y + n_x, NULL, partials);
     memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);
     for (int i = 0; i < n_q; ++i)
         for (int j = 0; j < n_x; ++j)
@@ -236,9 +241,9 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         memcpy(row + n_x, s->auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
         memcpy(row + n_x + n_c, s->auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
     }
+    double *const of_state_rates[] = {s->by_accelerations, s->by_multipliers};
     if (n_z > 0)
-        k->derivatives->state_rate_sensitivity(t, y, p->constants, p->inputs, y_rate + n_q, y + n_x,
-                                               s->by_accelerations, s->by_multipliers);
+        fb_problem_results(p, FB_STATE_RATE_PARTIALS, t, y, y_rate + n_q, y + n_x, NULL, of_state_rates);
     for (int i = 0; i < n_z; ++i) {
         double *const row = matrix + (n_x - n_z + i) * n;
         for (int j = 0; j < n_x; ++j)
@@ -254,8 +259,8 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         }
         return 0;
     }
-    k->derivatives->constraint_sensitivity(t, y, p->constants, p->inputs, s->velocity_jacobian, s->unused,
-                                           s->unused + n_h * k->n_r);
+    double *const of_constraints[] = {s->velocity_jacobian, s->unused, s->unused + n_h * k->n_r};
+    fb_problem_results(p, FB_CONSTRAINT_PARTIALS, t, y, NULL, NULL, NULL, of_constraints);
     for (int i = 0; i < n_c; ++i) {
         double *const row = matrix + (n_x + i) * n;
         memcpy(row, s->velocity_jacobian + i * n_q, (size_t)n_q * sizeof *row);

@@ -578,7 +578,7 @@ static inline int fb_event_values(fb_run *s, const double since, const double *x
     if (called < 0)
         return called;
     k->accelerations(t, x, p->constants, p->inputs, accelerations, multipliers, p->work);
-    k->output(t, x, p->constants, p->inputs, accelerations, multipliers, outputs);
+    fb_problem_results(p, FB_OUTPUT, t, x, accelerations, multipliers, NULL, &outputs);
     for (int i = 0; i < s->n_events; ++i)
         values[i] = outputs[s->event_output[i]];
     return 0;

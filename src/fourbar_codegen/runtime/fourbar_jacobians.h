@@ -37,12 +37,21 @@ static inline void fb_add_product(const int n, const int m, const int k, const d
                 c[i * k + j] += a[i * m + l] * b[l * k + j];
 }
 
+/* The results of a function of the kernel's table; JVPs are those of FB_DIRECTIONS. */
+static inline void fb_call_at(const fb_kernel *k, const fb_jacobian_work *w, const enum FB_ROLE role, const double t,
+                              const double *accelerations, const double *multipliers, const double *const *arguments,
+                              double *const *results)
+{
+    const fb_at at = {t, w->x, w->constants, w->r, accelerations, multipliers, FB_DIRECTIONS};
+    k->functions[role].call(&at, arguments, results, w->work);
+}
+
 /* dr/dp of the inputs that follow their expressions, zero for the others; whether any is not zero. */
 static inline int fb_input_changes(const fb_jacobians *b, fb_jacobian_work *w, const double t)
 {
     const fb_kernel *const k = b->kernel;
     int follows = 0;
-    k->derivatives->default_input_sensitivity(t, w->constants, w->input_jacobian);
+    fb_call_at(k, w, FB_DEFAULT_INPUT_PARTIALS, t, NULL, NULL, NULL, &w->input_jacobian);
     for (int i = 0; i < k->n_r * k->n_p; ++i) {
         w->input_jacobian[i] = b->in_force[i / k->n_p] ? w->input_jacobian[i] : 0.0;
         follows |= w->input_jacobian[i] != 0.0;
@@ -55,16 +64,14 @@ static inline int fb_total_jacobians(const fb_jacobians *b, fb_jacobian_work *w,
                                      double *of_rates, double *of_outputs)
 {
     const fb_kernel *const k = b->kernel;
-    const fb_derivatives *const d = k->derivatives;
-    fb_sensitivity *const functions[] = {d->sensitivity, d->parameter_sensitivity, d->input_sensitivity};
-    fb_output_sensitivity *const outputs[] = {d->output_sensitivity, d->output_parameter_sensitivity,
-                                              d->output_input_sensitivity};
+    const enum FB_ROLE roles[] = {FB_STATE_PARTIALS, FB_PARAMETER_PARTIALS, FB_INPUT_PARTIALS};
+    const enum FB_ROLE outputs[] = {FB_OUTPUT_STATE_PARTIALS, FB_OUTPUT_PARAMETER_PARTIALS, FB_OUTPUT_INPUT_PARTIALS};
     const int sizes[] = {k->n_x, k->n_p, k->n_r}, m = sizes[variables], n_q = k->n_q;
-    const int status = k->differentiate(d, functions[variables], m, t, w->x, w->constants, w->r, of_rates,
+    const int status = k->differentiate(k->functions, roles[variables], m, t, w->x, w->constants, w->r, of_rates,
                                         of_outputs ? w->of_multipliers : NULL, w->work);
     if (status != FB_OK || of_outputs == NULL || k->n_o == 0)
         return status;
-    outputs[variables](t, w->x, w->constants, w->r, w->accelerations, w->multipliers, of_outputs);
+    fb_call_at(k, w, outputs[variables], t, w->accelerations, w->multipliers, NULL, &of_outputs);
     fb_add_product(k->n_o, k->n_u, m, w->by_accelerations, of_rates + n_q * m, of_outputs);
     fb_add_product(k->n_o, k->n_l, m, w->by_multipliers, w->of_multipliers, of_outputs);
     return FB_OK;
@@ -73,7 +80,6 @@ static inline int fb_total_jacobians(const fb_jacobians *b, fb_jacobian_work *w,
 static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, const long i, const double t)
 {
     const fb_kernel *const k = b->kernel;
-    const fb_derivatives *const d = k->derivatives;
     const int sizes[] = {k->n_x, k->n_p, k->n_r}, m = sizes[b->variables];
     double *const of_rates = b->of_rates + i * k->n_x * m;
     double *const of_outputs = b->of_outputs ? b->of_outputs + i * k->n_o * m : NULL;
@@ -81,8 +87,8 @@ static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, co
         const int status = k->accelerations(t, w->x, w->constants, w->r, w->accelerations, w->multipliers, w->work);
         if (status != FB_OK)
             return status;
-        d->output_solution_sensitivity(t, w->x, w->constants, w->r, w->accelerations, w->multipliers,
-                                       w->by_accelerations, w->by_multipliers);
+        double *const by_solution[] = {w->by_accelerations, w->by_multipliers};
+        fb_call_at(k, w, FB_OUTPUT_SOLUTION_PARTIALS, t, w->accelerations, w->multipliers, NULL, by_solution);
     }
     int status = fb_total_jacobians(b, w, b->variables, t, of_rates, of_outputs);
     if (status != FB_OK || b->variables != FB_BY_PARAMETERS || k->n_r == 0)
@@ -129,13 +135,13 @@ static inline void fb_residual_by(const fb_jacobians *b, fb_jacobian_work *w, co
                                   double *result)
 {
     const fb_kernel *const k = b->kernel;
-    const fb_derivatives *const d = k->derivatives;
     const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_l = k->n_l;
     const int m = variables == FB_BY_PARAMETERS ? k->n_p : k->n_r;
     const int first = n_x + (variables == FB_BY_PARAMETERS ? 0 : k->n_p);
     double *const of_coordinates = w->partial, *const of_residual = w->partial + n_q * m;
-    fb_sensitivity *const function = variables == FB_BY_PARAMETERS ? d->parameter_sensitivity : d->input_sensitivity;
-    function(t, w->x, w->constants, w->r, w->rates + n_q, w->x + n_x, of_coordinates, of_residual);
+    const enum FB_ROLE role = variables == FB_BY_PARAMETERS ? FB_PARAMETER_PARTIALS : FB_INPUT_PARTIALS;
+    double *const partials[] = {of_coordinates, of_residual};
+    fb_call_at(k, w, role, t, w->rates + n_q, w->x + n_x, NULL, partials);
     for (int j = 0; j < n_q * m; ++j)
         result[j] = -of_coordinates[j];
     for (int j = 0; j < n_u * m; ++j)
@@ -154,8 +160,9 @@ static inline void fb_residual_by(const fb_jacobians *b, fb_jacobian_work *w, co
         memset(w->directions, 0, (size_t)((n_x + k->n_p + k->n_r) * FB_DIRECTIONS) * sizeof(double));
         for (int j = 0; j < count; ++j)
             w->directions[(first + begin + j) * FB_DIRECTIONS + j] = 1.0;
-        k->variations->constraint_variation(t, w->x, w->constants, w->r, FB_DIRECTIONS, w->directions, positions,
-                                            velocities);
+        const double *const directions[] = {w->directions};
+        double *const products[] = {positions, velocities};
+        fb_call_at(k, w, FB_CONSTRAINT_JVP, t, NULL, NULL, directions, products);
         for (int row = 0; row < n_c; ++row)
             for (int j = 0; j < count; ++j)
                 result[(n_x + row) * m + begin + j] = velocities[row * FB_DIRECTIONS + j];

@@ -513,44 +513,48 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
 }
 
 /* For the source of the derivatives. */
-int FB_PUBLIC(differentiate)(struct FB_MODEL *model, const fb_derivatives *derivatives, fb_sensitivity *function,
-                             const int n, double *matrix)
+int FB_PUBLIC(differentiate)(struct FB_MODEL *model, const fb_part *derivatives, const enum FB_ROLE role, const int n,
+                             double *matrix)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
-    return differentiate(derivatives, function, n, t, model->x, problem->constants, problem->inputs, matrix, NULL,
-                         problem->work);
+    return differentiate(derivatives->functions, role, n, t, model->x, problem->constants, problem->inputs, matrix,
+                         NULL, problem->work);
 }
 
 /* By the parameters, also through the expressions of inputs that are not held. */
-int FB_PUBLIC(differentiate_by_parameters)(struct FB_MODEL *model, const fb_derivatives *derivatives, double *matrix)
+int FB_PUBLIC(differentiate_by_parameters)(struct FB_MODEL *model, const fb_part *derivatives, double *matrix)
 {
     double by_inputs[FB_AT_LEAST_1(N_X * N_R)], input_jacobian[FB_AT_LEAST_1(N_R * N_P)];
     int follows = 0;
-    int status = FB_PUBLIC(differentiate)(model, derivatives, derivatives->parameter_sensitivity, N_P, matrix);
+    int status = FB_PUBLIC(differentiate)(model, derivatives, FB_PARAMETER_PARTIALS, N_P, matrix);
     if (status != FB_OK)
         return status;
     const fb_problem *const problem = &own_of(model)->problem;
-    derivatives->default_input_sensitivity(fb_time(&problem->clock, model->t), problem->constants, input_jacobian);
+    const fb_at at = {fb_time(&problem->clock, model->t), NULL, problem->constants, NULL, NULL, NULL, 0};
+    double *const results[] = {input_jacobian};
+    derivatives->functions[FB_DEFAULT_INPUT_PARTIALS].call(&at, NULL, results, problem->work);
     for (int i = 0; i < N_R * N_P; ++i) {
         input_jacobian[i] = model->held[i / FB_AT_LEAST_1(N_P)] ? 0.0 : input_jacobian[i];
         follows |= input_jacobian[i] != 0.0;
     }
     if (!follows)
         return FB_OK;
-    status = FB_PUBLIC(differentiate)(model, derivatives, derivatives->input_sensitivity, N_R, by_inputs);
+    status = FB_PUBLIC(differentiate)(model, derivatives, FB_INPUT_PARTIALS, N_R, by_inputs);
     if (status != FB_OK)
         return status;
     fb_add_through_inputs(problem->kernel, N_X, by_inputs, input_jacobian, matrix);
     return all_finite(matrix, N_X * N_P);
 }
 
-void FB_PUBLIC(draw)(struct FB_MODEL *model, const fb_derivatives *derivatives, double *points)
+void FB_PUBLIC(draw)(struct FB_MODEL *model, const fb_part *derivatives, double *points)
 {
     double t;
     fb_problem *const problem = problem_now(model, &t);
     double forces[FB_AT_LEAST_1(3 * N_FORCES)];
-    derivatives->drawing(t, model->x, problem->constants, problem->inputs, points, forces);
+    const fb_at at = {t, model->x, problem->constants, problem->inputs, NULL, NULL, 0};
+    double *const results[] = {points, forces};
+    derivatives->functions[FB_DRAWING].call(&at, NULL, results, problem->work);
 }
 
 const char *FB_PUBLIC(message)(const int status)

@@ -360,9 +360,9 @@ FB_PART static void store_multipliers(const fb_work *w, const double *forcing, c
 /* Differentiating M u' = f + J^T lambda and J u' + gamma = 0 in some direction gives equations for the changes of u'
  * and lambda with the same matrices; the right-hand sides are the n columns of `residual`. The rows of z' there are
  * completed with these changes. The equations are those of the last call of `accelerations`. */
-static int solve_columns(const fb_derivatives *derivatives, const int n, double t, const double *x,
-                         const double *constants, const double *r, const double *residual, double *matrix,
-                         double *multiplier_jacobian, fb_work *w)
+static int solve_columns(const fb_function *functions, const int n, double t, const double *x, const double *constants,
+                         const double *r, const double *residual, double *matrix, double *multiplier_jacobian,
+                         fb_work *w)
 {
     (void)t, (void)x, (void)constants, (void)r; /* used with unknown forces and state equations */
 #if N_N > 0
@@ -375,10 +375,11 @@ static int solve_columns(const fb_derivatives *derivatives, const int n, double 
     double multipliers[FB_AT_LEAST_1(N_L)];
 #endif
 #if N_Z > 0
-    derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
-                                        w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian);
+    const fb_at held = {t, x, constants, r, w->accelerations, w->multipliers, 0};
+    double *const of_state_rates[] = {w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian};
+    functions[FB_STATE_RATE_PARTIALS].call(&held, NULL, of_state_rates, w);
 #else
-    (void)derivatives;
+    (void)functions;
 #endif
 #ifdef FB_RECURSIVE
     if (!w->factors.is_dense) {
@@ -434,7 +435,7 @@ static int solve_columns(const fb_derivatives *derivatives, const int n, double 
     return all_finite(matrix, N_X * n);
 }
 
-static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *function, int n, double t, const double *x,
+static int differentiate(const fb_function *functions, enum FB_ROLE role, int n, double t, const double *x,
                          const double *constants, const double *r, double *matrix, double *multiplier_jacobian,
                          void *work)
 {
@@ -442,17 +443,17 @@ static int differentiate(const fb_derivatives *derivatives, fb_sensitivity *func
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
-    function(t, x, constants, r, w->accelerations, w->multipliers, matrix, w->residual_jacobian);
-    return solve_columns(derivatives, n, t, x, constants, r, w->residual_jacobian, matrix, multiplier_jacobian, w);
+    const fb_at at = {t, x, constants, r, w->accelerations, w->multipliers, 0};
+    double *const partials[] = {matrix, w->residual_jacobian};
+    functions[role].call(&at, NULL, partials, work);
+    return solve_columns(functions, n, t, x, constants, r, w->residual_jacobian, matrix, multiplier_jacobian, w);
 }
 
 #ifndef FB_LIBRARY
-static int vary(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                const double *constants, const double *r, const double *known, int n, const double *directions,
-                double *rates, void *work)
+static int jvp(const fb_function *functions, double t, const double *x, const double *constants, const double *r,
+               const double *known, int n, const double *directions, double *rates, void *work)
 {
     fb_work *const w = work;
-    (void)derivatives; /* used with state equations */
     if (known == NULL) {
         const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
         if (status != FB_OK)
@@ -464,13 +465,14 @@ static int vary(const fb_derivatives *derivatives, const fb_variations *variatio
         fb_multipliers(w->mass_matrix, w->forcing, known, &w->factors, w->multipliers);
 #endif
     }
-    variations->variation(t, x, constants, r, w->accelerations, w->multipliers, n, directions, rates,
-                          w->residual_variation);
+    const fb_at at = {t, x, constants, r, w->accelerations, w->multipliers, n};
+    double *const products[] = {rates, w->residual_variation};
+    functions[FB_RESIDUAL_JVP].call(&at, &directions, products, work);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
     fb_solve_directions(n, w->residual_variation, &w->factors, rates + N_Q * n);
     return all_finite(rates, N_X * n);
 #else
-    return solve_columns(derivatives, n, t, x, constants, r, w->residual_variation, rates, NULL, w);
+    return solve_columns(functions, n, t, x, constants, r, w->residual_variation, rates, NULL, w);
 #endif
 }
 
@@ -501,16 +503,16 @@ static void solve_directions(int n, const double *sides, const fb_work *w, doubl
 
 /* The changes of coordinates and speeds that lead along directions onto the constraints' tangent: those of `project`
  * for the derivatives of the violations, by the same orthogonality. */
-static int vary_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                       const double *constants, const double *r, enum FB_LAST last, int n, double *directions,
-                       void *work)
+static int projection_jvp(const fb_function *functions, double t, const double *x, const double *constants,
+                          const double *r, enum FB_LAST last, int n, double *directions, void *work)
 {
     fb_work *const w = work;
     /* f = 0, then the violations: in solutions for -gamma, signs are reversed */
     double sides[(N_U + FB_AT_LEAST_1(N_C + N_I)) * FB_DIRECTIONS] = {0.0}, unused[FB_AT_LEAST_1(N_C) * FB_DIRECTIONS];
     double *const violations = sides + N_U * n;
     double changes[N_U * FB_DIRECTIONS], change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)];
-    (void)derivatives;
+    const fb_at at = {t, x, constants, r, NULL, NULL, n};
+    const double *const given[] = {directions};
     if (N_C + N_I == 0)
         return FB_OK;
     if (!(last == FB_LAST_RHS || (last == FB_LAST_PROJECT && w->drift <= FB_SLIGHT))) {
@@ -520,7 +522,8 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
         if (status != FB_OK)
             return status;
     }
-    variations->constraint_variation(t, x, constants, r, n, directions, violations, unused);
+    double *const of_positions[] = {violations, unused};
+    functions[FB_CONSTRAINT_JVP].call(&at, given, of_positions, work);
     solve_directions(n, sides, w, changes);
     for (int j = 0; j < n; ++j) {
         for (int i = 0; i < N_U; ++i)
@@ -531,7 +534,8 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
     }
     /* The speeds' constraints depend on the coordinates as well. */
     double positions[FB_AT_LEAST_1(N_C + N_I) * FB_DIRECTIONS];
-    variations->constraint_variation(t, x, constants, r, n, directions, positions, violations);
+    double *const of_speeds[] = {positions, violations};
+    functions[FB_CONSTRAINT_JVP].call(&at, given, of_speeds, work);
     solve_directions(n, sides, w, changes);
     for (int i = 0; i < N_U * n; ++i)
         directions[N_Q * n + i] -= changes[i];
@@ -542,11 +546,10 @@ static int vary_closed(const fb_derivatives *derivatives, const fb_variations *v
  * that of the residual's rows with weights v and m that solve the transposed equations, M v + J^T m = a, -J v = l.
  * These are the equations of motion with f = a, gamma = l and lambda = -m. Unknown forces n: from G dn = -(their rows).
  */
-static int pull_back(const fb_derivatives *derivatives, const fb_variations *variations, double t, const double *x,
-                     const double *constants, const double *r, const double *weights, double *gradient, void *work)
+static int vjp(const fb_function *functions, double t, const double *x, const double *constants, const double *r,
+               const double *weights, double *gradient, void *work)
 {
     fb_work *const w = work;
-    (void)derivatives; /* used with state equations */
     const int status = accelerations(t, x, constants, r, w->accelerations, w->multipliers, work);
     if (status != FB_OK)
         return status;
@@ -559,8 +562,9 @@ static int pull_back(const fb_derivatives *derivatives, const fb_variations *var
     for (int i = 0; i < N_L; ++i)
         of_multipliers[i] = weights[N_X + i];
 #if N_Z > 0
-    derivatives->state_rate_sensitivity(t, x, constants, r, w->accelerations, w->multipliers,
-                                        w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian);
+    const fb_at held = {t, x, constants, r, w->accelerations, w->multipliers, 0};
+    double *const of_state_rates[] = {w->state_rate_acceleration_jacobian, w->state_rate_multiplier_jacobian};
+    functions[FB_STATE_RATE_PARTIALS].call(&held, NULL, of_state_rates, w);
     for (int k = 0; k < N_Z; ++k) {
         const double weight = of_residual[N_U + N_L + k] = weights[N_Q + N_U + k];
         for (int i = 0; i < N_U; ++i)
@@ -583,19 +587,23 @@ static int pull_back(const fb_derivatives *derivatives, const fb_variations *var
     fb_multipliers(w->mass_matrix, of_accelerations, of_residual, &w->factors, of_residual + N_U);
     for (int i = 0; i < N_C; ++i)
         of_residual[N_U + i] *= -1.0;
-    variations->pullback(t, x, constants, r, w->accelerations, w->multipliers, rows, gradient);
+    const fb_at at = {t, x, constants, r, w->accelerations, w->multipliers, 0};
+    const double *const of_rows[] = {rows};
+    functions[FB_RESIDUAL_VJP].call(&at, of_rows, &gradient, work);
     return all_finite(gradient, N_X + N_P + N_R);
 }
 
 /* The weighted sum of changes v with M v = J^T lambda, J v + w = 0, with weights a, is that of the rows of w with the
  * multipliers of the equations of motion for f = a, gamma = 0. */
-static int pull_back_closed(const fb_derivatives *derivatives, const fb_variations *variations, double t,
-                            const double *x, const double *constants, const double *r, double *gradient, void *work)
+static int projection_vjp(const fb_function *functions, double t, const double *x, const double *constants,
+                          const double *r, double *gradient, void *work)
 {
     fb_work *const w = work;
     static const double at_rest[N_U + N_L + 1] = {0.0};
     double rows[FB_AT_LEAST_1(2 * N_C + N_I)] = {0.0}, of_dynamics[N_Q + N_U + N_L + N_Z] = {0.0}, change[N_U];
-    (void)derivatives;
+    const fb_at at = {t, x, constants, r, at_rest, at_rest, 0};
+    const double *const of_violations[] = {rows}, *const of_residual[] = {of_dynamics};
+    double *const result[] = {w->gradient};
     if (N_C + N_I == 0)
         return FB_OK;
 #ifdef FB_RECURSIVE
@@ -606,30 +614,43 @@ static int pull_back_closed(const fb_derivatives *derivatives, const fb_variatio
     const int status = factor_at(t, x, constants, r, w);
     if (status != FB_OK)
         return status;
-    /* the speeds, which vary_closed moves last */
+    /* the speeds, which projection_jvp moves last */
     fb_solve(gradient + N_Q, at_rest, &w->factors, change);
     fb_multipliers(w->mass_matrix, gradient + N_Q, change, &w->factors, rows + N_C + N_I);
-    variations->constraint_pullback(t, x, constants, r, rows, w->gradient);
+    functions[FB_CONSTRAINT_VJP].call(&at, of_violations, result, work);
     for (int i = 0; i < N_X + N_P + N_R; ++i)
         gradient[i] += w->gradient[i];
     /* the coordinates: q' = K u + k, so K^T is in the derivatives of q' by u */
     for (int i = 0; i < N_Q; ++i)
         of_dynamics[i] = gradient[i];
-    variations->pullback(t, x, constants, r, at_rest, at_rest, of_dynamics, w->gradient);
+    functions[FB_RESIDUAL_VJP].call(&at, of_residual, result, work);
     fb_solve(w->gradient + N_Q, at_rest, &w->factors, change);
     for (int i = 0; i < 2 * N_C + N_I; ++i)
         rows[i] = 0.0;
     fb_multipliers(w->mass_matrix, w->gradient + N_Q, change, &w->factors, rows);
-    variations->constraint_pullback(t, x, constants, r, rows, w->gradient);
+    functions[FB_CONSTRAINT_VJP].call(&at, of_violations, result, work);
     for (int i = 0; i < N_X + N_P + N_R; ++i)
         gradient[i] += w->gradient[i];
     return all_finite(gradient, N_X + N_P + N_R);
 }
 #endif
 
+static const fb_array dynamics_results[5] = {{"coordinate_rates", N_Q, FB_VECTOR},
+                                             {"mass_matrix", N_U, N_U},
+                                             {"forcing", N_U, FB_VECTOR},
+                                             {"constraint_jacobian", N_C, N_U},
+                                             {"acceleration_bias", N_C, FB_VECTOR}};
+static int call_dynamics(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    full_dynamics(at->t, at->x, at->constants, at->r, results[0], results[1], results[2], results[3], results[4]);
+    return FB_OK;
+}
+
 const fb_kernel FB_TABLE(kernel) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_kernel),
+    .n_roles = FB_N_ROLES,
     .work_size = sizeof(fb_work),
     .n_q = N_Q,
     .n_u = N_U,
@@ -649,37 +670,27 @@ const fb_kernel FB_TABLE(kernel) = {
     .position_row = position_row,
     .prepare = prepare,
     .default_inputs = default_inputs,
-    .breakpoints = breakpoints,
     .rhs = FB_RHS,
     .stabilized = stabilized,
     .differentiate = differentiate,
 #ifndef FB_LIBRARY
-    .vary = vary,
-    .vary_closed = vary_closed,
-    .pull_back = pull_back,
-    .pull_back_closed = pull_back_closed,
+    .jvp = jvp,
+    .projection_jvp = projection_jvp,
+    .vjp = vjp,
+    .projection_vjp = projection_vjp,
 #endif
     .accelerations = accelerations,
-#if N_Z > 0
-    .state_rates = state_rates,
 #ifdef FB_STATES_NEED_SOLUTION
     .states_need_solution = 1,
 #endif
-#endif
     .dynamics = full_dynamics,
-#if N_N > 0
-    .unknown_forces = unknown_forces,
-#endif
     .position = position,
     .velocity = velocity,
     .constraint_violation = constraint_violation,
-    .constraint_scale = constraint_scale,
-    .invariant_correction = invariant_correction,
     .coordinate_change = coordinate_change,
     .project = project,
     .orientation_changed = orientation_changed,
-    .energy = energy,
-    .output = output,
+    .functions = own_functions,
 #ifdef FB_LIBRARY             /* derivatives are called by a source of their own, which may be left out */
 #elif defined(FB_ONE_MACHINE) /* other parts can be built when they are needed */
     .one_machine = 1,

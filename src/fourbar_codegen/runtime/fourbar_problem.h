@@ -137,6 +137,15 @@ static inline int fb_problem_rates(void *problem, const double since, const doub
     return 0;
 }
 
+/* The results of a function of the kernel's table, with the inputs as they are. */
+static inline void fb_problem_results(const fb_problem *s, const enum FB_ROLE role, const double t, const double *x,
+                                      const double *accelerations, const double *multipliers,
+                                      const double *const *arguments, double *const *results)
+{
+    const fb_at at = {t, x, s->constants, s->inputs, accelerations, multipliers, 0};
+    s->kernel->functions[role].call(&at, arguments, results, s->work);
+}
+
 /* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse NaN. x' is NaN there, and fails
  * the step. */
 static inline int fb_problem_jacobian(fb_problem *s, const double since, const double *x, double *matrix)
@@ -146,7 +155,8 @@ static inline int fb_problem_jacobian(fb_problem *s, const double since, const d
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    const int status = fb_jacobian(s->kernel, t, x, s->constants, s->inputs, matrix, s->work);
+    const int status = s->kernel->differentiate(s->kernel->functions, FB_STATE_PARTIALS, n, t, x, s->constants,
+                                                s->inputs, matrix, NULL, s->work);
     if (status != FB_OK) {
         fb_note_failure(s, status, t, x);
         memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);

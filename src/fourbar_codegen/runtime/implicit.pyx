@@ -5,7 +5,7 @@ of the right length, so nothing is checked or allocated."""
 cimport cython
 cimport numpy as cnp
 
-from fourbar_codegen.runtime.evaluator cimport fb_problem, fb_problem_jacobian, fb_problem_rates
+from fourbar_codegen.runtime.evaluator cimport FB_STATE_PARTIALS, fb_problem, fb_problem_jacobian, fb_problem_rates
 from fourbar_codegen.runtime.integrator cimport Ode
 
 import numpy as np
@@ -52,7 +52,7 @@ cdef class Rates:
 
     def jacobian(self, double t, cnp.ndarray x, rates, cnp.ndarray matrix):
         """dx'/dx, (n_x, n_x)."""
-        self.ode.evaluator.derivatives()
+        self.ode.evaluator.function(FB_STATE_PARTIALS)
         self.ode.check(fb_problem_jacobian(&self.ode.problem, t, _at(x), _at(matrix)))
 
 
@@ -77,7 +77,7 @@ cdef class Residual:
 
     def __cinit__(self, Ode ode not None, str formulation):
         cdef int chosen = _FORMULATIONS[formulation]
-        ode.evaluator.derivatives()
+        ode.evaluator.function(FB_STATE_PARTIALS)
         self.ode = ode
         self.memory = np.zeros(fb_place_implicit(&ode.problem, chosen, &self.implicit, NULL))
         fb_place_implicit(&ode.problem, chosen, &self.implicit, _at(self.memory))

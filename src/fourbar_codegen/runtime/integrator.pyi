@@ -6,7 +6,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.runtime.evaluator import Evaluator, Values
+from fourbar_codegen.runtime.functions import Functions, Values
 
 Floats = NDArray[np.float64]
 
@@ -23,7 +23,7 @@ class Directions(Protocol):
 class Ode:
     projects: bool
     in_pieces: bool
-    evaluator: Evaluator
+    evaluator: Functions
     stabilization: float
     parameters: Floats | None
     sources: tuple[object, ...]
@@ -37,7 +37,7 @@ class Ode:
     def explain(self, status: int, t: float, x: ArrayLike) -> str: ...
     @property
     def has_jacobian(self) -> bool: ...
-    def __init__(self, evaluator: Evaluator, p: Values | None, sources: Sequence[object]) -> None: ...
+    def __init__(self, evaluator: Functions, p: Values | None, sources: Sequence[object]) -> None: ...
     def __call__(self, t: float, x: ArrayLike) -> Floats: ...
     def input_values(self, t: float, x: ArrayLike) -> Floats: ...
     @property

@@ -8,9 +8,10 @@ from libc.math cimport INFINITY, NAN, fabs, fmax
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_LAST, FB_LAST_ANY, FB_OK, Evaluator, data, fb_all_time, fb_clock, fb_derivatives, fb_fill_inputs, fb_finite,
+    FB_BREAKPOINTS, FB_CONSTRAINT_JVP, FB_ENERGY, FB_LAST, FB_LAST_ANY, FB_OK, FB_STATE_PARTIALS, Evaluator, data, fb_all_time, fb_clock,
+    fb_problem_results, fb_fill_inputs, fb_finite,
     fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
-    fb_variations, new_array, number, numbers, rows, time_of, vector)
+    new_array, number, numbers, rows, time_of, vector)
 
 import numpy as np
 
@@ -32,8 +33,6 @@ cdef extern from "fourbar_jumps.h":
 
 cdef extern from "fourbar_forward.h":
     ctypedef struct fb_forward:
-        const fb_derivatives *derivatives
-        const fb_variations *variations
         int n_blocks, width, size, fsal
         double *directions
         const double **source_changes
@@ -120,8 +119,6 @@ cdef extern from "fourbar_integrate.h":
 
 cdef extern from "fourbar_adjoint.h":
     ctypedef struct fb_adjoint:
-        const fb_derivatives *derivatives
-        const fb_variations *variations
         const double *rows
         fb_jump jump
         const long *sample_row
@@ -332,7 +329,9 @@ cdef class Ode:
     def breakpoints(self):
         """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
         cdef cnp.ndarray times = new_array(self.problem.kernel.n_breakpoints)
-        self.problem.kernel.breakpoints(self.problem.constants, data(times))
+        cdef double *results[1]
+        results[0] = data(times)
+        fb_problem_results(&self.problem, FB_BREAKPOINTS, 0.0, NULL, NULL, NULL, NULL, results)
         return times
 
     @property
@@ -454,9 +453,11 @@ cdef class Ode:
         """Kinetic and potential energy at one time; NaN if unknown."""
         t = time_of(t)
         cdef double[2] found
+        cdef double *results[1]
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         self.check(fb_fill_inputs(&self.problem, t, data(state)))
-        self.problem.kernel.energy(t, data(state), self.problem.constants, self.problem.inputs, found)
+        results[0] = found
+        fb_problem_results(&self.problem, FB_ENERGY, t, data(state), NULL, NULL, NULL, results)
         return found[0], found[1]
 
     def jac(self, t, x):
@@ -464,7 +465,7 @@ cdef class Ode:
         t = time_of(t)
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_x, self.evaluator.n_x)
-        self.evaluator.derivatives()
+        self.evaluator.function(FB_STATE_PARTIALS)
         self.check(fb_problem_jacobian(&self.problem, t, data(state), data(result)))
         return result
 
@@ -640,7 +641,7 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
     cdef cnp.ndarray places = np.zeros(kernel.n_r + 1, dtype=np.uintp)
     cdef int width = forward.width
     fb_place_forward(run, n, forward, data(memory))
-    forward.derivatives, forward.variations = ode.evaluator.derivatives(), ode.evaluator.variations()
+    ode.evaluator.function(FB_CONSTRAINT_JVP)
     padded = np.zeros((forward.n_blocks, n_x + n_p + kernel.n_r, width))
     for block in range(forward.n_blocks):
         columns = directions.matrix[:, block * width:(block + 1) * width]
@@ -796,7 +797,7 @@ cdef class Run:
             run.event_old = <double *>self._keep(np.zeros(run.n_events))
             run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
         if method == "ALI3P":
-            ode.evaluator.derivatives()
+            ode.evaluator.function(FB_STATE_PARTIALS)
             run.step, run.augmented = fb_augmented_step_on, &self.augmented
             matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
@@ -1170,7 +1171,7 @@ cdef class Steps:
         run.interpolant = run.stages + n_stages * run.padded
         memory = np.zeros(fb_place_adjoint(&run, &adjoint, NULL))
         fb_place_adjoint(&run, &adjoint, data(memory))
-        adjoint.derivatives, adjoint.variations = ode.evaluator.derivatives(), ode.evaluator.variations()
+        ode.evaluator.function(FB_CONSTRAINT_JVP)
         adjoint.rows = data(self.ends)
         adjoint.sample_row, adjoint.sample_t = <const long *>cnp.PyArray_DATA(self.places), data(self.times)
         adjoint.by_states = data(state_seeds)

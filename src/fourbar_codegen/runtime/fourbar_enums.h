@@ -1,0 +1,61 @@
+/* Enumerations that C and Python share, written by `python -m fourbar_codegen.layout`. */
+#ifndef FOURBAR_ENUMS_H
+#define FOURBAR_ENUMS_H
+
+/* clang-format off */
+/* What a function of a kernel returns. */
+enum FB_STATUS {
+    FB_OK = 0, /* success */
+    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank, or J u' + gamma = 0 has no solution */
+    FB_MASS_SINGULAR = 2, /* T^T M T is not positive definite */
+    FB_NOT_FINITE = 3, /* a result is infinite or not a number */
+    FB_NOT_CLOSED = 4, /* no state nearby satisfies the constraints */
+    FB_CONSTRAINTS_INDEPENDENT = 5, /* J has a larger rank than the model has dependent speeds */
+    FB_FORCES_UNDETERMINED = 6, /* no unknown forces keep the auxiliary speeds zero, or many do */
+    FB_FORCES_NOT_FOUND = 7, /* Newton's method does not find unknown forces that do */
+};
+
+/* What a function of a kernel computes: its place in the table of functions. */
+enum FB_ROLE {
+    FB_BREAKPOINTS = 0, /* times at which expressions have a jump or a kink */
+    FB_DEFAULT_INPUTS = 1, /* the inputs' expressions */
+    FB_DYNAMICS = 2, /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
+    FB_POSITION = 3, /* Phi(q, t) and dPhi/dq */
+    FB_VELOCITY = 4, /* J and b of J u + b = 0 */
+    FB_CONSTRAINT_VIOLATION = 5, /* w of J v = -w, then the invariants; J u + b */
+    FB_CONSTRAINT_SCALE = 6, /* sizes of Phi and of both results of CONSTRAINT_VIOLATION */
+    FB_INVARIANT_CORRECTION = 7, /* the change of q that corrects the invariants */
+    FB_COORDINATE_CHANGE = 8, /* K v of a change v of the speeds' integrals, for q' = K u + k */
+    FB_ENERGY = 9, /* kinetic and potential energy */
+    FB_OUTPUT = 10, /* the outputs */
+    FB_STATE_RATES = 11, /* z' */
+    FB_UNKNOWN_FORCES = 12, /* F(n), dF/dn; Q(n), dQ/dn, M_a and J_a^T of Q - M_a u' + J_a^T lambda = 0 */
+    FB_DRAWING = 13, /* positions of drawn points, and the inputs' forces on them */
+    FB_MOTION = 14, /* q''; velocities and accelerations of drawn points */
+    FB_STATE_PARTIALS = 15, /* d/dx of q', and of (f - M u' + J^T lambda, -(J u' + gamma), z') */
+    FB_PARAMETER_PARTIALS = 16, /* d/dp of the same */
+    FB_INPUT_PARTIALS = 17, /* d/dr of the same */
+    FB_DEFAULT_INPUT_PARTIALS = 18, /* d/dp of the inputs' expressions */
+    FB_CONSTRAINT_PARTIALS = 19, /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
+    FB_STATE_RATE_PARTIALS = 20, /* dz'/du' and dz'/dlambda */
+    FB_OUTPUT_STATE_PARTIALS = 21, /* d/dx of the outputs */
+    FB_OUTPUT_PARAMETER_PARTIALS = 22, /* d/dp of the outputs */
+    FB_OUTPUT_INPUT_PARTIALS = 23, /* d/dr of the outputs */
+    FB_OUTPUT_SOLUTION_PARTIALS = 24, /* d/du' and d/dlambda of the outputs */
+    FB_RESIDUAL_JVP = 25, /* the products of the first three with directions of (x, p, r) */
+    FB_CONSTRAINT_JVP = 26, /* those of the derivatives of CONSTRAINT_VIOLATION */
+    FB_RESIDUAL_VJP = 27, /* the gradient with respect to (x, p, r) of weights times q' and the residual */
+    FB_CONSTRAINT_VJP = 28, /* that of weights times the results of CONSTRAINT_VIOLATION */
+    FB_N_ROLES = 29
+};
+
+/* What a function of a kernel needs to know, besides time, state and parameters. */
+enum FB_NEEDS {
+    FB_NEEDS_STATE = 8, /* all of x, not only q */
+    FB_NEEDS_INPUTS = 1, /* all inputs, not only those that prescribe motions */
+    FB_NEEDS_ACCELERATIONS = 2, /* u' */
+    FB_NEEDS_MULTIPLIERS = 4, /* lambda, and unknown forces behind it */
+};
+/* clang-format on */
+
+#endif

@@ -373,20 +373,6 @@ static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_rea
     coordinate_change[2] = u3_rate;
 }
 
-/* z', with u' and lambda given. */
-static void state_rates(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
-    const fb_real *restrict r, const fb_real *restrict accelerations, const fb_real *restrict multipliers,
-    fb_real *restrict state_rates)
-{
-    (void)t;
-    (void)x;
-    (void)constants;
-    (void)r;
-    (void)accelerations;
-    (void)multipliers;
-    (void)state_rates;
-}
-
 #ifdef FB_SIDE_BY_SIDE
 #include "fourbar_side_by_side.h"
 #else
@@ -538,6 +524,20 @@ static void output(double t, const double *restrict x, const double *restrict co
     (void)outputs;
 }
 
+/* z', with u' and lambda given. */
+static void state_rates(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    double *restrict state_rates)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)accelerations;
+    (void)multipliers;
+    (void)state_rates;
+}
+
 /* Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds. */
 static void unknown_forces(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict forces, double *restrict force_effect,
@@ -560,7 +560,7 @@ static void unknown_forces(double t, const double *restrict x, const double *res
     force_effect[2] = 0.0;
 }
 
-#ifndef FB_RHS_ONLY
+#if !defined(FB_RHS_ONLY) && !defined(FB_LIBRARY)
 static const fb_array default_inputs_results[] = {{"inputs", 1, -1}};
 static int call_default_inputs(const fb_at *at, const double *const *arguments, double *const *results,
     void *work)

@@ -24,16 +24,24 @@ class _Enum(IntEnum):
 
 
 class Status(_Enum):
-    """What a function of a kernel returns."""
+    """What functions of a kernel return, and, from 20 on, those of a C library; the comment is its message."""
 
     OK = 0, "success"
-    CONSTRAINTS_DEPENDENT = 1, "J has lost rank, or J u' + gamma = 0 has no solution"
-    MASS_SINGULAR = 2, "T^T M T is not positive definite"
-    NOT_FINITE = 3, "a result is infinite or not a number"
+    CONSTRAINTS_DEPENDENT = 1, "the constraints' Jacobian has lost rank, or the constraints contradict each other"
+    MASS_SINGULAR = 2, "the mass matrix of the independent speeds is not positive definite"
+    NOT_FINITE = 3, "a parameter, an input or a result is infinite or not a number"
     NOT_CLOSED = 4, "no state nearby satisfies the constraints"
-    CONSTRAINTS_INDEPENDENT = 5, "J has a larger rank than the model has dependent speeds"
+    CONSTRAINTS_INDEPENDENT = 5, "there are more independent constraints than dependent speeds"
     FORCES_UNDETERMINED = 6, "no unknown forces keep the auxiliary speeds zero, or many do"
-    FORCES_NOT_FOUND = 7, "Newton's method does not find unknown forces that do"
+    FORCES_NOT_FOUND = 7, "Newton's method does not find the unknown forces"
+    INVALID_ARGUMENT = 20, "an argument is outside of its range"
+    STEP_TOO_SMALL = 21, "the required step size is less than the spacing between numbers"
+    TOO_MANY_STEPS = 22, "the largest number of steps is reached"
+    SINGULAR_POSITION = 23, "the mechanism reaches a singular position, where it may go on in more than one way"
+    SPEEDS_JUMP = (
+        24,
+        "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
+    )
 
 
 class Needs(_Enum):
@@ -95,6 +103,15 @@ def enums_text() -> str:
         rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
         rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []
         texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
+    cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)
+    texts.append(f"""\
+static inline const char *fb_message(const int status)
+{{
+    switch (status) {{
+{cases}
+    default: return "unknown status";
+    }}
+}}""")
     body = "\n\n".join(texts)
     return f"""\
 /* Enumerations that C and Python share, written by `python -m fourbar_codegen.layout`. */

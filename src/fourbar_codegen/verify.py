@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import logging
 import random
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.expressions.tape import Result, Scalar
 from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.layout import Role
 
 __all__ = ["NEAR", "STATES", "verify"]
 
@@ -35,6 +36,7 @@ NEAR = (None,) * 4 + (0.1, 1e-2, 1e-3, 1e-4, 0.0)
 """Distances of the states from the initial values, which are needed where expressions have values only near these, or
 there alone."""
 CLOSURES = 16
+PARTIALS = (Role.STATE_PARTIALS, Role.PARAMETER_PARTIALS, Role.INPUT_PARTIALS)
 OF_MOTION = ("coordinate_rates", "mass_matrix", "forcing", "constraint_jacobian", "acceleration_bias")
 # Both sides have different rounding errors, and terms may cancel. A wrong sign or symbol gives far larger differences.
 TOLERANCE = 1e-7
@@ -78,7 +80,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
     >>> verify(fb.load("four_bar"), form_equations(fb.models.four_bar()))
     2
     """
-    generator = random.Random(0)
+    generator, formed = random.Random(0), _formed(equations, derivatives)
     compared = 0
     for near in NEAR:
         values = _random_values(equations, compiled, generator, near)
@@ -86,10 +88,9 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
             values.update((leaf, generator.uniform(-1.0, 1.0)) for leaf in tangent.direction)
         if not close(equations.tape, equations.not_orthonormal, equations.coordinates, values):
             continue
-        expected = _evaluate(equations, derivatives, values)
-        for function, results in _compiled_results(equations, derivatives, compiled, values).items():
-            for result, got in results:
-                _compare(compiled.name, function, result, got, expected[result.name])
+        expected = _evaluate(equations, formed.values(), values)
+        for function, name, got in _compiled_results(equations, derivatives, compiled, values):
+            _compare(compiled.name, function, formed[name], got, expected[name])
         if not all(np.isfinite(expected[name]).all() for name in OF_MOTION):  # an expression is undefined there
             continue
         _compare_solution(compiled, expected, values, equations)
@@ -122,11 +123,16 @@ def _states(e: Equations) -> tuple[Scalar, ...]:
     return (*e.coordinates, *e.speeds, *e.auxiliary_states)
 
 
-def _evaluate(e: Equations, d: Derivatives | None, values: Mapping[Scalar, float]) -> dict[str, Floats]:
-    formed = (*vars(e).values(), *(() if d is None else vars(d).values()))
-    results = [value for value in formed if isinstance(value, Result)]
+def _formed(e: Equations, d: Derivatives | None) -> dict[str, Result]:
+    """All results of the equations by name, also of products with directions."""
+    formed = [*vars(e).values(), *(() if d is None else vars(d).values())]
     for tangent in () if d is None else d.tangents:
-        results += [tangent.coordinate_rates, tangent.residual]
+        formed += [tangent.coordinate_rates, tangent.residual]
+    return {result.name: result for result in formed if isinstance(result, Result)}
+
+
+def _evaluate(e: Equations, formed: Iterable[Result], values: Mapping[Scalar, float]) -> dict[str, Floats]:
+    results = [*formed]
     numbers = iter(e.tape.evaluate([entry for result in results for entry in result.entries], values))
     return {r.name: np.array([next(numbers) for _ in r.entries]).reshape(r.shape) for r in results}
 
@@ -138,85 +144,23 @@ def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
 
 def _compiled_results(
     e: Equations, d: Derivatives | None, compiled: Kernel, values: Mapping[Scalar, float]
-) -> dict[str, Sequence[tuple[Result, Floats]]]:
-    """The results of every compiled function, each with the result that it should have."""
+) -> Iterator[tuple[str, str, Floats]]:
+    """Function, name and value of every result of the kernel's table, as far as there are equations for it."""
     t = values[e.time]
     x, p, r, accelerations, multipliers = _arrays(e, values)
-    outputs = compiled.outputs_for(t, x, accelerations, multipliers, p, r)
-    got: dict[str, tuple[list[Result], Sequence[Floats]]] = {
-        "breakpoints": ([e.breakpoints], [compiled.breakpoints(p)]),
-        "default_inputs": ([e.default_inputs], [compiled.default_inputs(t, p)]),
-        "dynamics": (
-            [e.coordinate_rates, e.mass_matrix, e.forcing, e.constraint_jacobian, e.acceleration_bias],
-            compiled.dynamics(t, x, p, r),
-        ),
-        "position": ([e.position_constraints, e.position_jacobian], compiled.position(t, x[: compiled.n_q], p, r)),
-        "velocity": ([e.constraint_jacobian, e.velocity_bias], compiled.velocity(t, x, p, r)),
-        "constraint_violation": (
-            [e.position_violation, e.velocity_violation],
-            compiled.constraint_violation(t, x, p, r),
-        ),
-        "constraint_scale": (
-            [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
-            compiled.constraint_scale(t, x, p, r),
-        ),
-        "coordinate_change": ([e.coordinate_change], [compiled.coordinate_change(t, x, accelerations, p, r)]),
-        "invariant_correction": (
-            [e.invariant_correction],
-            [compiled.invariant_correction(t, x[: compiled.n_q], p, r)],
-        ),
-        "energy": ([e.energies], [compiled.energy(t, x, p, r)]),
-        "unknown_forces": (
-            [*e.of_unknown_forces],
-            compiled.unknown_forces(t, x, multipliers[compiled.n_c :], p, r),
-        ),
-        "output": ([e.outputs], [outputs]),
-        "state_rates": ([e.state_rates], [compiled.state_rates_for(t, x, accelerations, multipliers, p, r)]),
-    }
-    if d is not None:
-        sensitivities = compiled.sensitivities(t, x, accelerations, multipliers, p, r)
-        got |= {
-            "default_input_partials": ([d.default_input_jacobian], [compiled.default_input_sensitivity(t, p)]),
-            "constraint_partials": (
-                [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
-                compiled.constraint_sensitivity(t, x, p, r),
-            ),
-            "state_rate_partials": (
-                [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
-                compiled.state_rate_sensitivity(t, x, accelerations, multipliers, p, r),
-            ),
-            "output_state_partials": (
-                [d.output_jacobian, d.output_parameter_jacobian, d.output_input_jacobian],
-                compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[:3],
-            ),
-            "output_solution_partials": (
-                [d.output_acceleration_jacobian, d.output_multiplier_jacobian],
-                compiled.output_sensitivities(t, x, accelerations, multipliers, p, r)[3:],
-            ),
-            "drawing": ([e.points, e.forces], compiled.drawing(t, x, p, r)),
-            "motion": (
-                [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
-                compiled.motion(t, x, accelerations, p, r),
-            ),
-            "state_partials": _sensitivities(d, values, sensitivities),
-        }
-    return {function: tuple(zip(results, arrays, strict=True)) for function, (results, arrays) in got.items()}
-
-
-def _sensitivities(
-    d: Derivatives, values: Mapping[Scalar, float], matrices: Sequence[Floats]
-) -> tuple[list[Result], Sequence[Floats]]:
-    """The derivatives of q' and of the residual, or their products with directions, and the compiled ones."""
-    if d.tangents:
-        results = [result for tangent in d.tangents for result in (tangent.coordinate_rates, tangent.residual)]
-        directions = [np.array([values[leaf] for leaf in tangent.direction]) for tangent in d.tangents]
-        return results, [matrix @ directions[i // 2] for i, matrix in enumerate(matrices)]
-    formed = (
-        *(d.coordinate_rate_jacobian, d.residual_jacobian),
-        *(d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian),
-        *(d.coordinate_rate_input_jacobian, d.residual_input_jacobian),
-    )
-    return [result for result in formed if result is not None], matrices
+    further = {Role.COORDINATE_CHANGE: (accelerations,), Role.UNKNOWN_FORCES: (multipliers[compiled.n_c :],)}
+    tangents = {} if d is None else dict(zip(PARTIALS, d.tangents, strict=False))
+    for role in Role:
+        if role.part == "variations" or (role.part == "derivatives" and d is None):
+            continue
+        takes_state, names = compiled.described(role)
+        state = x if takes_state else x[: compiled.n_q]
+        results = compiled.evaluate(role, t, state, p, r, accelerations, multipliers, further.get(role, ()))
+        if role in tangents:  # a matrix, of which products with a direction are formed
+            tangent = tangents[role]
+            direction = np.array([values[leaf] for leaf in tangent.direction])
+            names, results = (tangent.coordinate_rates.name, tangent.residual.name), [m @ direction for m in results]
+        yield from ((role.name.lower(), name, got) for name, got in zip(names, results, strict=True))
 
 
 def _compare(model: str, function: str, result: Result, got: Floats, expected: Floats) -> None:

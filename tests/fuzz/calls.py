@@ -176,10 +176,10 @@ class Calls:
 
 NOT_FOR_USERS = {
     "breakpoints", "capsule", "constraint_pullback", "constraint_variation", "default_input_sensitivity",
-    "defaults_in_force", "failure", "find", "from_file", "from_loaded", "has_inputs", "held_inputs", "input_values",
-    "lacks_batch_functions", "lacks_derivatives", "lacks_variations", "missing", "parameter_values",
-    "rates_at_rest", "require_batch_functions", "require_derivatives", "require_output_derivatives",
-    "require_variations", "title", "too_few_dependent",
+    "defaults_in_force", "described", "evaluate", "evaluate_along", "failure", "find", "from_file",
+    "from_loaded", "has_inputs", "held_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives",
+    "lacks_variations", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
+    "require_derivatives", "require_output_derivatives", "require_variations", "title", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 

@@ -10,6 +10,7 @@ from typing import Any
 from fourbar_codegen.codegen.c_source import derivatives_text, header_text, kernel_text
 from fourbar_codegen.definitions import definitions_text
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.layout import Role, Status
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 
@@ -25,13 +26,6 @@ HEADERS = (
     "fourbar_recursive.h", "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h", "fourbar_tableau.h",
 )  # fmt: skip
 """The runtime of a library."""
-
-STATUSES = {
-    "ok": 0, "constraints_dependent": 1, "mass_singular": 2, "not_finite": 3, "not_closed": 4,
-    "constraints_independent": 5, "forces_undetermined": 6, "forces_not_found": 7, "invalid_argument": 20,
-    "step_too_small": 21, "too_many_steps": 22, "singular_position": 23, "speeds_jump": 24,
-}  # fmt: skip
-"""As in fourbar_kernel.h and fourbar_close.h."""
 
 KEYWORDS = """
     alignas alignof and asm auto bitand bitor bool break case catch char class compl concept const consteval
@@ -142,7 +136,10 @@ def library_texts(
         raise ModelError(
             f"A C library begins with defaults: give {', '.join(missing)} values in Model(parameters=...)."
         )
-    scalar = replace(scheduled, has_batches=False)
+    sizes = scheduled.program.sizes
+    empty = {role for role, n in ((Role.STATE_RATES, sizes.n_z), (Role.UNKNOWN_FORCES, sizes.n_n)) if n == 0}
+    functions_of_library = tuple(f for f in scheduled.functions if f.function.role not in empty)
+    scalar = replace(scheduled, has_batches=False, functions=functions_of_library)
     header = f'#define FB_WITHOUT_TYPE\n#include "{name}.h"\n'
     texts = {
         f"{name}.h": _header(scheduled.program, names if names_entries else {}, manifest, version),
@@ -253,7 +250,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], manifest: Mapp
             (f"int held[{n_r}]", "whether each input is held, or follows its expression of time"),
         )
     )
-    statuses = "".join(f"    {name}_{word} = {number},\n" for word, number in STATUSES.items())
+    statuses = "".join(f"    {name}_{status.name.lower()} = {status.value},\n" for status in Status)
     statuses = statuses.rstrip(",\n") + "\n"
     guard = f"FOURBAR_CODEGEN_{name}_H"
     return f"""\

@@ -91,9 +91,9 @@ def kernel_text(
         for function, name in ((solve, "mass_solve_many"), (multiply, "mass_product")):
             others += "\n\n" + _function_text(function, name, "static FB_CALLED ", "fb_many")
     entries = [_Entry.of(f.function) for f in scheduled.functions if f.function.role is not None]
-    others += (
-        f'\n\n#ifndef FB_RHS_ONLY\n{_entries_text(entries, "static ")}\n#endif\n\n#include "{folder}fourbar_model.h"'
-    )
+    table = _entries_text(entries, "static ")
+    others += f"\n\n#if !defined(FB_RHS_ONLY) && !defined(FB_LIBRARY)\n{table}\n#endif\n"
+    others += f'\n#include "{folder}fourbar_model.h"'
     macros = "#define FB_SHORT\n" if scheduled.is_short else ""
     if sizes.n_z:
         macros += f"#define N_Z {sizes.n_z}\n"

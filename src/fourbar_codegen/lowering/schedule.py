@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import sympy as sm
 
 from fourbar_codegen.expressions.tape import ONE, Call, Scalar, operands
+from fourbar_codegen.layout import Role
 from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS
 from fourbar_codegen.lowering.program import Function, Program
 
@@ -230,12 +231,13 @@ def schedule_function(function: Function, *, inline_angles: bool) -> ScheduledFu
         carried += [node for node in block.lines if node in later]
         later |= block.used
     places = {node: place for place, node in enumerate(carried)}
+    entries = [entry for result in function.results for entry in result.entries]
     return ScheduledFunction(
         function=function,
         lines=tuple(lines.lines),
         parts=tuple(_part(function, block, lines, places) for block in blocks),
         n_carried=len(carried),
-        side_by_side=function.name in SIDE_BY_SIDE,
+        side_by_side=function.name in SIDE_BY_SIDE and (function.role is not Role.STATE_RATES or bool(entries)),
         inline_angles=inline_angles,
     )
 

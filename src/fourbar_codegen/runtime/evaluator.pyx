@@ -337,6 +337,12 @@ cdef class Evaluator:
                 self.require_variations()
         return self.functions + role
 
+    def described(self, int role):
+        """Whether a function of the table takes all of x, not only q; and the names of its results."""
+        cdef const fb_function *f = self.function(role)
+        cdef int i
+        return bool(f.needs & FB_NEEDS_STATE), tuple([f.results[i].name.decode() for i in range(f.n_results)])
+
     def evaluate(self, int role, t, x=None, p=None, r=None, accelerations=None, multipliers=None, arguments=()):
         """The results of a function of the table.
 

@@ -10,15 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-/* Statuses of calls beyond those of a kernel. */
-enum FB_CALL {
-    FB_INVALID_ARGUMENT = 20,
-    FB_STEP_TOO_SMALL = 21,
-    FB_TOO_MANY_STEPS = 22,
-    FB_SINGULAR_POSITION = 23,
-    FB_SPEEDS_JUMP = 24
-};
-
 /* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
 #ifndef FB_RUN_STEPS
 #define FB_RUN_STEPS 1000000

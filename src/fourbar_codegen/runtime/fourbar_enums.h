@@ -3,16 +3,21 @@
 #define FOURBAR_ENUMS_H
 
 /* clang-format off */
-/* What a function of a kernel returns. */
+/* What functions of a kernel return, and, from 20 on, those of a C library; the comment is its message. */
 enum FB_STATUS {
     FB_OK = 0, /* success */
-    FB_CONSTRAINTS_DEPENDENT = 1, /* J has lost rank, or J u' + gamma = 0 has no solution */
-    FB_MASS_SINGULAR = 2, /* T^T M T is not positive definite */
-    FB_NOT_FINITE = 3, /* a result is infinite or not a number */
+    FB_CONSTRAINTS_DEPENDENT = 1, /* the constraints' Jacobian has lost rank, or the constraints contradict each other */
+    FB_MASS_SINGULAR = 2, /* the mass matrix of the independent speeds is not positive definite */
+    FB_NOT_FINITE = 3, /* a parameter, an input or a result is infinite or not a number */
     FB_NOT_CLOSED = 4, /* no state nearby satisfies the constraints */
-    FB_CONSTRAINTS_INDEPENDENT = 5, /* J has a larger rank than the model has dependent speeds */
+    FB_CONSTRAINTS_INDEPENDENT = 5, /* there are more independent constraints than dependent speeds */
     FB_FORCES_UNDETERMINED = 6, /* no unknown forces keep the auxiliary speeds zero, or many do */
-    FB_FORCES_NOT_FOUND = 7, /* Newton's method does not find unknown forces that do */
+    FB_FORCES_NOT_FOUND = 7, /* Newton's method does not find the unknown forces */
+    FB_INVALID_ARGUMENT = 20, /* an argument is outside of its range */
+    FB_STEP_TOO_SMALL = 21, /* the required step size is less than the spacing between numbers */
+    FB_TOO_MANY_STEPS = 22, /* the largest number of steps is reached */
+    FB_SINGULAR_POSITION = 23, /* the mechanism reaches a singular position, where it may go on in more than one way */
+    FB_SPEEDS_JUMP = 24, /* the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown */
 };
 
 /* What a function of a kernel computes: its place in the table of functions. */
@@ -56,6 +61,26 @@ enum FB_NEEDS {
     FB_NEEDS_ACCELERATIONS = 2, /* u' */
     FB_NEEDS_MULTIPLIERS = 4, /* lambda, and unknown forces behind it */
 };
+
+static inline const char *fb_message(const int status)
+{
+    switch (status) {
+    case FB_OK: return "success";
+    case FB_CONSTRAINTS_DEPENDENT: return "the constraints' Jacobian has lost rank, or the constraints contradict each other";
+    case FB_MASS_SINGULAR: return "the mass matrix of the independent speeds is not positive definite";
+    case FB_NOT_FINITE: return "a parameter, an input or a result is infinite or not a number";
+    case FB_NOT_CLOSED: return "no state nearby satisfies the constraints";
+    case FB_CONSTRAINTS_INDEPENDENT: return "there are more independent constraints than dependent speeds";
+    case FB_FORCES_UNDETERMINED: return "no unknown forces keep the auxiliary speeds zero, or many do";
+    case FB_FORCES_NOT_FOUND: return "Newton's method does not find the unknown forces";
+    case FB_INVALID_ARGUMENT: return "an argument is outside of its range";
+    case FB_STEP_TOO_SMALL: return "the required step size is less than the spacing between numbers";
+    case FB_TOO_MANY_STEPS: return "the largest number of steps is reached";
+    case FB_SINGULAR_POSITION: return "the mechanism reaches a singular position, where it may go on in more than one way";
+    case FB_SPEEDS_JUMP: return "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown";
+    default: return "unknown status";
+    }
+}
 /* clang-format on */
 
 #endif

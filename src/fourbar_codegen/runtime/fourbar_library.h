@@ -58,15 +58,6 @@ struct FB_MODEL {
 #else
 /* The memory that the header declares is large enough: otherwise this array has a negative size. */
 typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((struct FB_MODEL *)0)->memory) ? 1 : -1];
-
-/* The header states the same statuses. */
-typedef char fb_statuses_agree[(int)FB_PUBLIC(not_finite) == FB_NOT_FINITE &&
-                                       (int)FB_PUBLIC(not_closed) == FB_NOT_CLOSED &&
-                                       (int)FB_PUBLIC(forces_not_found) == FB_FORCES_NOT_FOUND &&
-                                       (int)FB_PUBLIC(invalid_argument) == FB_INVALID_ARGUMENT &&
-                                       (int)FB_PUBLIC(speeds_jump) == FB_SPEEDS_JUMP
-                                   ? 1
-                                   : -1];
 #endif
 
 static fb_own *own_of(struct FB_MODEL *model)
@@ -559,37 +550,7 @@ void FB_PUBLIC(draw)(struct FB_MODEL *model, const fb_part *derivatives, double 
 
 const char *FB_PUBLIC(message)(const int status)
 {
-    switch (status) {
-    case FB_OK:
-        return "success";
-    case FB_CONSTRAINTS_DEPENDENT:
-        return "the constraints' Jacobian has lost rank, or the constraints contradict each other";
-    case FB_MASS_SINGULAR:
-        return "the mass matrix of the independent speeds is not positive definite";
-    case FB_NOT_FINITE:
-        return "a parameter, an input or a result is infinite or not a number";
-    case FB_NOT_CLOSED:
-        return "no state nearby satisfies the constraints";
-    case FB_CONSTRAINTS_INDEPENDENT:
-        return "there are more independent constraints than dependent speeds";
-    case FB_FORCES_UNDETERMINED:
-        return "no unknown forces keep the auxiliary speeds zero, or many do";
-    case FB_FORCES_NOT_FOUND:
-        return "Newton's method does not find the unknown forces";
-    case FB_INVALID_ARGUMENT:
-        return "an argument is outside of its range";
-    case FB_STEP_TOO_SMALL:
-        return "the required step size is less than the spacing between numbers";
-    case FB_TOO_MANY_STEPS:
-        return "the largest number of steps is reached";
-    case FB_SINGULAR_POSITION:
-        return "the mechanism reaches a singular position, where it may go on in more than one way";
-    case FB_SPEEDS_JUMP:
-        return "the speed of a prescribed motion jumps in the step or run, or at its end: the speeds after it are "
-               "unknown here";
-    default:
-        return "unknown status";
-    }
+    return fb_message(status);
 }
 
 #endif

@@ -635,6 +635,7 @@ static int projection_vjp(const fb_function *functions, double t, const double *
 }
 #endif
 
+#ifndef FB_LIBRARY /* which calls the functions themselves */
 static const fb_array dynamics_results[5] = {{"coordinate_rates", N_Q, FB_VECTOR},
                                              {"mass_matrix", N_U, N_U},
                                              {"forcing", N_U, FB_VECTOR},
@@ -646,6 +647,7 @@ static int call_dynamics(const fb_at *at, const double *const *arguments, double
     full_dynamics(at->t, at->x, at->constants, at->r, results[0], results[1], results[2], results[3], results[4]);
     return FB_OK;
 }
+#endif
 
 const fb_kernel FB_TABLE(kernel) = {
     .abi_version = FB_ABI_VERSION,
@@ -690,7 +692,9 @@ const fb_kernel FB_TABLE(kernel) = {
     .coordinate_change = coordinate_change,
     .project = project,
     .orientation_changed = orientation_changed,
+#ifndef FB_LIBRARY
     .functions = own_functions,
+#endif
 #ifdef FB_LIBRARY             /* derivatives are called by a source of their own, which may be left out */
 #elif defined(FB_ONE_MACHINE) /* other parts can be built when they are needed */
     .one_machine = 1,

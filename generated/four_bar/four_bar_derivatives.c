@@ -13,220 +13,7 @@
 
 #include <math.h>
 
-/* Positions of the drawn points, and the inputs' forces on them. */
-static void drawing(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, double *restrict points, double *restrict forces)
-{
-    (void)t;
-    const double q1 = x[0];
-    const double z0 = cos(q1);
-    const double l2 = constants[2];
-    const double z1 = l2*z0;
-    const double l1 = constants[1];
-    const double z2 = l1 + z1;
-    points[9] = (1.0/2.0)*z2;
-    const double z3 = sin(q1);
-    const double z4 = l2*z3;
-    points[10] = (1.0/2.0)*z4;
-    points[13] = z4;
-    points[16] = z4;
-    const double z5 = z1 + z2;
-    points[12] = (1.0/2.0)*z5;
-    points[15] = (1.0/2.0)*z5;
-    const double q2 = x[1];
-    const double z6 = q1 + q2;
-    const double z7 = cos(z6);
-    const double l3 = constants[3];
-    const double z8 = l3*z7;
-    const double z9 = z5 + z8;
-    points[18] = (1.0/2.0)*z9;
-    const double z10 = sin(z6);
-    const double z11 = l3*z10;
-    const double z12 = z4 + (1.0/2.0)*z11;
-    points[19] = z12;
-    const double z13 = z8 + z9;
-    points[21] = (1.0/2.0)*z13;
-    points[24] = (1.0/2.0)*z13;
-    const double z14 = (1.0/2.0)*z11 + z12;
-    points[22] = z14;
-    points[25] = z14;
-    const double q3 = x[2];
-    const double z15 = q3 + z6;
-    const double z16 = cos(z15);
-    const double l4 = constants[4];
-    const double z17 = l4*z16;
-    const double z18 = z17 + z13;
-    points[27] = (1.0/2.0)*z18;
-    points[30] = (1.0/2.0)*(z17 + z18);
-    const double z19 = sin(z15);
-    const double z20 = l4*z19;
-    const double z21 = (1.0/2.0)*z20 + z14;
-    points[0] = 0.0;
-    points[1] = 0.0;
-    points[2] = 0.0;
-    points[3] = (1.0/2.0)*l1;
-    points[4] = 0.0;
-    points[5] = 0.0;
-    points[6] = (-1.0/2.0)*l1;
-    points[7] = 0.0;
-    points[8] = 0.0;
-    points[11] = 0.0;
-    points[14] = 0.0;
-    points[17] = 0.0;
-    points[20] = 0.0;
-    points[23] = 0.0;
-    points[26] = 0.0;
-    points[28] = z21;
-    points[29] = 0.0;
-    points[31] = (1.0/2.0)*z20 + z21;
-    points[32] = 0.0;
-    const double r_F = r[0];
-    forces[0] = r_F;
-    forces[1] = 0.0;
-    forces[2] = 0.0;
-}
-
-/* q'', and velocities and accelerations of the drawn points, with u' given. */
-static void motion(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, const double *restrict accelerations, double *restrict coordinate_accelerations,
-    double *restrict point_velocities, double *restrict point_accelerations)
-{
-    (void)t;
-    (void)r;
-    const double q1 = x[0];
-    const double z0 = sin(q1);
-    const double u1 = x[3];
-    const double z1 = u1*z0;
-    const double l2 = constants[2];
-    const double z2 = l2*z1;
-    point_velocities[9] = (-1.0/2.0)*z2;
-    point_velocities[12] = -z2;
-    point_velocities[15] = -z2;
-    const double z3 = cos(q1);
-    const double z4 = u1*z3;
-    const double z5 = l2*z4;
-    point_velocities[10] = (1.0/2.0)*z5;
-    point_velocities[13] = z5;
-    point_velocities[16] = z5;
-    const double q2 = x[1];
-    const double z6 = cos(q2);
-    const double z7 = sin(q2);
-    const double u2 = x[4];
-    const double z8 = u2*z7;
-    const double z9 = u2*z6;
-    const double z10 = z6*z1 + z3*z8 + z7*z4 + z0*z9;
-    const double l3 = constants[3];
-    const double z11 = l3*z10;
-    const double z12 = 2.0*z2 + z11;
-    point_velocities[18] = (-1.0/2.0)*z12;
-    const double z13 = z6*z4 - z0*z8 - z7*z1 + z3*z9;
-    const double z14 = l3*z13;
-    const double z15 = z5 + (1.0/2.0)*z14;
-    point_velocities[19] = z15;
-    const double z16 = z11 + z12;
-    point_velocities[21] = (-1.0/2.0)*z16;
-    point_velocities[24] = (-1.0/2.0)*z16;
-    const double z17 = (1.0/2.0)*z14 + z15;
-    point_velocities[22] = z17;
-    point_velocities[25] = z17;
-    const double q3 = x[2];
-    const double z18 = sin(q3);
-    const double u3 = x[5];
-    const double z19 = u3*z18;
-    const double z20 = z3*z6 - z0*z7;
-    const double z21 = cos(q3);
-    const double z22 = u3*z21;
-    const double z23 = z0*z6 + z3*z7;
-    const double l4 = constants[4];
-    const double z24 = l4*(z19*z20 + z22*z23 + z21*z10 + z18*z13);
-    const double z25 = z16 + z24;
-    point_velocities[27] = (-1.0/2.0)*z25;
-    point_velocities[30] = (-1.0/2.0)*(z24 + z25);
-    const double z26 = l4*(z19*z23 - z22*z20 - z21*z13 + z18*z10);
-    const double z27 = z17 - (1.0/2.0)*z26;
-    point_velocities[28] = z27;
-    point_velocities[31] = -((1.0/2.0)*z26 - z27);
-    const double u1_rate = accelerations[0];
-    const double z28 = u1*z4 + u1_rate*z0;
-    const double z29 = l2*z28;
-    point_accelerations[9] = (-1.0/2.0)*z29;
-    point_accelerations[12] = -z29;
-    point_accelerations[15] = -z29;
-    const double z30 = u1*z1 - u1_rate*z3;
-    const double z31 = l2*z30;
-    point_accelerations[10] = (-1.0/2.0)*z31;
-    point_accelerations[13] = -z31;
-    point_accelerations[16] = -z31;
-    const double u2_rate = accelerations[1];
-    const double z32 = u2_rate*z7 + u2*z9;
-    const double z33 = u2_rate*z6 - u2*z8;
-    const double z34 = 2.0*z1*z8 - z6*z28 - z3*z32 - 2.0*z4*z9 + z7*z30 - z0*z33;
-    const double z35 = l3*z34;
-    const double z36 = 2.0*z29 - z35;
-    point_accelerations[18] = (-1.0/2.0)*z36;
-    const double z37 = 2.0*z4*z8 + z6*z30 + z0*z32 + 2.0*z1*z9 + z7*z28 - z3*z33;
-    const double z38 = l3*z37;
-    const double z39 = z31 + (1.0/2.0)*z38;
-    point_accelerations[19] = -z39;
-    const double z40 = z35 - z36;
-    point_accelerations[21] = (1.0/2.0)*z40;
-    point_accelerations[24] = (1.0/2.0)*z40;
-    const double z41 = (1.0/2.0)*z38 + z39;
-    point_accelerations[22] = -z41;
-    point_accelerations[25] = -z41;
-    const double u3_rate = accelerations[2];
-    const double z42 = u3_rate*z18 + u3*z22;
-    const double z43 = u3_rate*z21 - u3*z19;
-    const double z44 = z20*z42 + z23*z43 - 2.0*z19*z10 - z21*z34 + 2.0*z22*z13 - z18*z37;
-    const double z45 = l4*z44;
-    const double z46 = z40 - z45;
-    point_accelerations[27] = (1.0/2.0)*z46;
-    point_accelerations[30] = (-1.0/2.0)*(z45 - z46);
-    const double z47 = z23*z42 - z20*z43 + 2.0*z19*z13 + z21*z37 + 2.0*z22*z10 - z18*z34;
-    const double z48 = l4*z47;
-    const double z49 = z41 + (1.0/2.0)*z48;
-    coordinate_accelerations[0] = u1_rate;
-    coordinate_accelerations[1] = u2_rate;
-    coordinate_accelerations[2] = u3_rate;
-    point_velocities[0] = 0.0;
-    point_velocities[1] = 0.0;
-    point_velocities[2] = 0.0;
-    point_velocities[3] = (0.0/1.0);
-    point_velocities[4] = 0.0;
-    point_velocities[5] = 0.0;
-    point_velocities[6] = (0.0/1.0);
-    point_velocities[7] = 0.0;
-    point_velocities[8] = 0.0;
-    point_velocities[11] = 0.0;
-    point_velocities[14] = 0.0;
-    point_velocities[17] = 0.0;
-    point_velocities[20] = 0.0;
-    point_velocities[23] = 0.0;
-    point_velocities[26] = 0.0;
-    point_velocities[29] = 0.0;
-    point_velocities[32] = 0.0;
-    point_accelerations[0] = 0.0;
-    point_accelerations[1] = 0.0;
-    point_accelerations[2] = 0.0;
-    point_accelerations[3] = (0.0/1.0);
-    point_accelerations[4] = 0.0;
-    point_accelerations[5] = 0.0;
-    point_accelerations[6] = (0.0/1.0);
-    point_accelerations[7] = 0.0;
-    point_accelerations[8] = 0.0;
-    point_accelerations[11] = 0.0;
-    point_accelerations[14] = 0.0;
-    point_accelerations[17] = 0.0;
-    point_accelerations[20] = 0.0;
-    point_accelerations[23] = 0.0;
-    point_accelerations[26] = 0.0;
-    point_accelerations[28] = -z49;
-    point_accelerations[29] = 0.0;
-    point_accelerations[31] = -((1.0/2.0)*z48 + z49);
-    point_accelerations[32] = 0.0;
-}
-
-/* d/dx of q', and of f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
+/* d/dx of q' and of the residual, with u' and lambda held. */
 static void state_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_jacobian, double *restrict residual_jacobian)
@@ -398,7 +185,7 @@ static void state_partials(double t, const double *restrict x, const double *res
     residual_jacobian[28] = 2.0*z92;
 }
 
-/* The same derivatives with respect to the parameters. */
+/* d/dp of q' and of the residual, with u' and lambda held. */
 static void parameter_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_parameter_jacobian, double *restrict residual_parameter_jacobian)
@@ -571,7 +358,7 @@ static void parameter_partials(double t, const double *restrict x, const double 
     residual_parameter_jacobian[39] = 0.0;
 }
 
-/* The same derivatives with respect to the inputs. */
+/* d/dr of q' and of the residual, with u' and lambda held. */
 static void input_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict coordinate_rate_input_jacobian, double *restrict residual_input_jacobian)
@@ -598,6 +385,219 @@ static void input_partials(double t, const double *restrict x, const double *res
     residual_input_jacobian[4] = 0.0;
 }
 
+/* Positions of drawn points, and the inputs' forces on them. */
+static void drawing(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict points, double *restrict forces)
+{
+    (void)t;
+    const double q1 = x[0];
+    const double z0 = cos(q1);
+    const double l2 = constants[2];
+    const double z1 = l2*z0;
+    const double l1 = constants[1];
+    const double z2 = l1 + z1;
+    points[9] = (1.0/2.0)*z2;
+    const double z3 = sin(q1);
+    const double z4 = l2*z3;
+    points[10] = (1.0/2.0)*z4;
+    points[13] = z4;
+    points[16] = z4;
+    const double z5 = z1 + z2;
+    points[12] = (1.0/2.0)*z5;
+    points[15] = (1.0/2.0)*z5;
+    const double q2 = x[1];
+    const double z6 = q1 + q2;
+    const double z7 = cos(z6);
+    const double l3 = constants[3];
+    const double z8 = l3*z7;
+    const double z9 = z5 + z8;
+    points[18] = (1.0/2.0)*z9;
+    const double z10 = sin(z6);
+    const double z11 = l3*z10;
+    const double z12 = z4 + (1.0/2.0)*z11;
+    points[19] = z12;
+    const double z13 = z8 + z9;
+    points[21] = (1.0/2.0)*z13;
+    points[24] = (1.0/2.0)*z13;
+    const double z14 = (1.0/2.0)*z11 + z12;
+    points[22] = z14;
+    points[25] = z14;
+    const double q3 = x[2];
+    const double z15 = q3 + z6;
+    const double z16 = cos(z15);
+    const double l4 = constants[4];
+    const double z17 = l4*z16;
+    const double z18 = z17 + z13;
+    points[27] = (1.0/2.0)*z18;
+    points[30] = (1.0/2.0)*(z17 + z18);
+    const double z19 = sin(z15);
+    const double z20 = l4*z19;
+    const double z21 = (1.0/2.0)*z20 + z14;
+    points[0] = 0.0;
+    points[1] = 0.0;
+    points[2] = 0.0;
+    points[3] = (1.0/2.0)*l1;
+    points[4] = 0.0;
+    points[5] = 0.0;
+    points[6] = (-1.0/2.0)*l1;
+    points[7] = 0.0;
+    points[8] = 0.0;
+    points[11] = 0.0;
+    points[14] = 0.0;
+    points[17] = 0.0;
+    points[20] = 0.0;
+    points[23] = 0.0;
+    points[26] = 0.0;
+    points[28] = z21;
+    points[29] = 0.0;
+    points[31] = (1.0/2.0)*z20 + z21;
+    points[32] = 0.0;
+    const double r_F = r[0];
+    forces[0] = r_F;
+    forces[1] = 0.0;
+    forces[2] = 0.0;
+}
+
+/* q''; velocities and accelerations of drawn points. */
+static void motion(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, double *restrict coordinate_accelerations,
+    double *restrict point_velocities, double *restrict point_accelerations)
+{
+    (void)t;
+    (void)r;
+    const double q1 = x[0];
+    const double z0 = sin(q1);
+    const double u1 = x[3];
+    const double z1 = u1*z0;
+    const double l2 = constants[2];
+    const double z2 = l2*z1;
+    point_velocities[9] = (-1.0/2.0)*z2;
+    point_velocities[12] = -z2;
+    point_velocities[15] = -z2;
+    const double z3 = cos(q1);
+    const double z4 = u1*z3;
+    const double z5 = l2*z4;
+    point_velocities[10] = (1.0/2.0)*z5;
+    point_velocities[13] = z5;
+    point_velocities[16] = z5;
+    const double q2 = x[1];
+    const double z6 = cos(q2);
+    const double z7 = sin(q2);
+    const double u2 = x[4];
+    const double z8 = u2*z7;
+    const double z9 = u2*z6;
+    const double z10 = z6*z1 + z3*z8 + z7*z4 + z0*z9;
+    const double l3 = constants[3];
+    const double z11 = l3*z10;
+    const double z12 = 2.0*z2 + z11;
+    point_velocities[18] = (-1.0/2.0)*z12;
+    const double z13 = z6*z4 - z0*z8 - z7*z1 + z3*z9;
+    const double z14 = l3*z13;
+    const double z15 = z5 + (1.0/2.0)*z14;
+    point_velocities[19] = z15;
+    const double z16 = z11 + z12;
+    point_velocities[21] = (-1.0/2.0)*z16;
+    point_velocities[24] = (-1.0/2.0)*z16;
+    const double z17 = (1.0/2.0)*z14 + z15;
+    point_velocities[22] = z17;
+    point_velocities[25] = z17;
+    const double q3 = x[2];
+    const double z18 = sin(q3);
+    const double u3 = x[5];
+    const double z19 = u3*z18;
+    const double z20 = z3*z6 - z0*z7;
+    const double z21 = cos(q3);
+    const double z22 = u3*z21;
+    const double z23 = z0*z6 + z3*z7;
+    const double l4 = constants[4];
+    const double z24 = l4*(z19*z20 + z22*z23 + z21*z10 + z18*z13);
+    const double z25 = z16 + z24;
+    point_velocities[27] = (-1.0/2.0)*z25;
+    point_velocities[30] = (-1.0/2.0)*(z24 + z25);
+    const double z26 = l4*(z19*z23 - z22*z20 - z21*z13 + z18*z10);
+    const double z27 = z17 - (1.0/2.0)*z26;
+    point_velocities[28] = z27;
+    point_velocities[31] = -((1.0/2.0)*z26 - z27);
+    const double u1_rate = accelerations[0];
+    const double z28 = u1*z4 + u1_rate*z0;
+    const double z29 = l2*z28;
+    point_accelerations[9] = (-1.0/2.0)*z29;
+    point_accelerations[12] = -z29;
+    point_accelerations[15] = -z29;
+    const double z30 = u1*z1 - u1_rate*z3;
+    const double z31 = l2*z30;
+    point_accelerations[10] = (-1.0/2.0)*z31;
+    point_accelerations[13] = -z31;
+    point_accelerations[16] = -z31;
+    const double u2_rate = accelerations[1];
+    const double z32 = u2_rate*z7 + u2*z9;
+    const double z33 = u2_rate*z6 - u2*z8;
+    const double z34 = 2.0*z1*z8 - z6*z28 - z3*z32 - 2.0*z4*z9 + z7*z30 - z0*z33;
+    const double z35 = l3*z34;
+    const double z36 = 2.0*z29 - z35;
+    point_accelerations[18] = (-1.0/2.0)*z36;
+    const double z37 = 2.0*z4*z8 + z6*z30 + z0*z32 + 2.0*z1*z9 + z7*z28 - z3*z33;
+    const double z38 = l3*z37;
+    const double z39 = z31 + (1.0/2.0)*z38;
+    point_accelerations[19] = -z39;
+    const double z40 = z35 - z36;
+    point_accelerations[21] = (1.0/2.0)*z40;
+    point_accelerations[24] = (1.0/2.0)*z40;
+    const double z41 = (1.0/2.0)*z38 + z39;
+    point_accelerations[22] = -z41;
+    point_accelerations[25] = -z41;
+    const double u3_rate = accelerations[2];
+    const double z42 = u3_rate*z18 + u3*z22;
+    const double z43 = u3_rate*z21 - u3*z19;
+    const double z44 = z20*z42 + z23*z43 - 2.0*z19*z10 - z21*z34 + 2.0*z22*z13 - z18*z37;
+    const double z45 = l4*z44;
+    const double z46 = z40 - z45;
+    point_accelerations[27] = (1.0/2.0)*z46;
+    point_accelerations[30] = (-1.0/2.0)*(z45 - z46);
+    const double z47 = z23*z42 - z20*z43 + 2.0*z19*z13 + z21*z37 + 2.0*z22*z10 - z18*z34;
+    const double z48 = l4*z47;
+    const double z49 = z41 + (1.0/2.0)*z48;
+    coordinate_accelerations[0] = u1_rate;
+    coordinate_accelerations[1] = u2_rate;
+    coordinate_accelerations[2] = u3_rate;
+    point_velocities[0] = 0.0;
+    point_velocities[1] = 0.0;
+    point_velocities[2] = 0.0;
+    point_velocities[3] = (0.0/1.0);
+    point_velocities[4] = 0.0;
+    point_velocities[5] = 0.0;
+    point_velocities[6] = (0.0/1.0);
+    point_velocities[7] = 0.0;
+    point_velocities[8] = 0.0;
+    point_velocities[11] = 0.0;
+    point_velocities[14] = 0.0;
+    point_velocities[17] = 0.0;
+    point_velocities[20] = 0.0;
+    point_velocities[23] = 0.0;
+    point_velocities[26] = 0.0;
+    point_velocities[29] = 0.0;
+    point_velocities[32] = 0.0;
+    point_accelerations[0] = 0.0;
+    point_accelerations[1] = 0.0;
+    point_accelerations[2] = 0.0;
+    point_accelerations[3] = (0.0/1.0);
+    point_accelerations[4] = 0.0;
+    point_accelerations[5] = 0.0;
+    point_accelerations[6] = (0.0/1.0);
+    point_accelerations[7] = 0.0;
+    point_accelerations[8] = 0.0;
+    point_accelerations[11] = 0.0;
+    point_accelerations[14] = 0.0;
+    point_accelerations[17] = 0.0;
+    point_accelerations[20] = 0.0;
+    point_accelerations[23] = 0.0;
+    point_accelerations[26] = 0.0;
+    point_accelerations[28] = -z49;
+    point_accelerations[29] = 0.0;
+    point_accelerations[31] = -((1.0/2.0)*z48 + z49);
+    point_accelerations[32] = 0.0;
+}
+
 /* d/dp of the inputs' expressions; zero without one. */
 static void default_input_partials(double t, const double *restrict constants,
     double *restrict default_input_jacobian)
@@ -614,7 +614,7 @@ static void default_input_partials(double t, const double *restrict constants,
     default_input_jacobian[7] = 0.0;
 }
 
-/* d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b. */
+/* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr. */
 static void constraint_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict velocity_jacobian, double *restrict position_input_jacobian,
     double *restrict velocity_input_jacobian)
@@ -658,7 +658,7 @@ static void constraint_partials(double t, const double *restrict x, const double
     velocity_input_jacobian[1] = 0.0;
 }
 
-/* d/du' and d/dlambda of z'. */
+/* dz'/du' and dz'/dlambda. */
 static void state_rate_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict state_rate_acceleration_jacobian, double *restrict state_rate_multiplier_jacobian)
@@ -673,7 +673,7 @@ static void state_rate_partials(double t, const double *restrict x, const double
     (void)state_rate_multiplier_jacobian;
 }
 
-/* d/dx of the outputs with u' and lambda held. */
+/* d/dx of the outputs, with u' and lambda held. */
 static void output_state_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict output_jacobian)
@@ -687,7 +687,7 @@ static void output_state_partials(double t, const double *restrict x, const doub
     (void)output_jacobian;
 }
 
-/* d/dp of the same. */
+/* d/dp of the outputs, with u' and lambda held. */
 static void output_parameter_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict output_parameter_jacobian)
@@ -701,7 +701,7 @@ static void output_parameter_partials(double t, const double *restrict x, const 
     (void)output_parameter_jacobian;
 }
 
-/* d/dr of the same. */
+/* d/dr of the outputs, with u' and lambda held. */
 static void output_input_partials(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict output_input_jacobian)
@@ -728,23 +728,6 @@ static void output_solution_partials(double t, const double *restrict x, const d
     (void)multipliers;
     (void)output_acceleration_jacobian;
     (void)output_multiplier_jacobian;
-}
-
-static const fb_array drawing_results[] = {{"points", 11, 3}, {"forces", 1, 3}};
-static int call_drawing(const fb_at *at, const double *const *arguments, double *const *results, void *work)
-{
-    (void)arguments, (void)work;
-    drawing(at->t, at->x, at->constants, at->r, results[0], results[1]);
-    return FB_OK;
-}
-
-static const fb_array motion_results[] = {{"coordinate_accelerations", 3, -1}, {"point_velocities", 11, 3},
-    {"point_accelerations", 11, 3}};
-static int call_motion(const fb_at *at, const double *const *arguments, double *const *results, void *work)
-{
-    (void)arguments, (void)work;
-    motion(at->t, at->x, at->constants, at->r, at->accelerations, results[0], results[1], results[2]);
-    return FB_OK;
 }
 
 static const fb_array state_partials_results[] = {{"coordinate_rate_jacobian", 3, 6}, {"residual_jacobian", 5,
@@ -777,6 +760,23 @@ static int call_input_partials(const fb_at *at, const double *const *arguments, 
     (void)arguments, (void)work;
     input_partials(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, results[0],
         results[1]);
+    return FB_OK;
+}
+
+static const fb_array drawing_results[] = {{"points", 11, 3}, {"forces", 1, 3}};
+static int call_drawing(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    drawing(at->t, at->x, at->constants, at->r, results[0], results[1]);
+    return FB_OK;
+}
+
+static const fb_array motion_results[] = {{"coordinate_accelerations", 3, -1}, {"point_velocities", 11, 3},
+    {"point_accelerations", 11, 3}};
+static int call_motion(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    motion(at->t, at->x, at->constants, at->r, at->accelerations, results[0], results[1], results[2]);
     return FB_OK;
 }
 
@@ -853,14 +853,14 @@ const fb_part four_bar_derivatives = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_part),
     .functions = {
-        [FB_DRAWING] = {call_drawing, FB_NEEDS_STATE, 0, 2, NULL, drawing_results},
-        [FB_MOTION] = {call_motion, FB_NEEDS_STATE | FB_NEEDS_ACCELERATIONS, 0, 3, NULL, motion_results},
         [FB_STATE_PARTIALS] = {call_state_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS
             | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, state_partials_results},
         [FB_PARAMETER_PARTIALS] = {call_parameter_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS |
             FB_NEEDS_ACCELERATIONS | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, parameter_partials_results},
         [FB_INPUT_PARTIALS] = {call_input_partials, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS
             | FB_NEEDS_MULTIPLIERS, 0, 2, NULL, input_partials_results},
+        [FB_DRAWING] = {call_drawing, FB_NEEDS_STATE, 0, 2, NULL, drawing_results},
+        [FB_MOTION] = {call_motion, FB_NEEDS_STATE | FB_NEEDS_ACCELERATIONS, 0, 3, NULL, motion_results},
         [FB_DEFAULT_INPUT_PARTIALS] = {call_default_input_partials, 0, 0, 1, NULL,
             default_input_partials_results},
         [FB_CONSTRAINT_PARTIALS] = {call_constraint_partials, FB_NEEDS_STATE, 0, 3, NULL,

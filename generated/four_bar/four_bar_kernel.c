@@ -104,7 +104,7 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     constants[32] = (1.0/2.0)*l4;
 }
 
-/* Inputs r from their expressions; NaN without one. */
+/* The inputs' expressions; NaN for inputs without one. */
 static void default_inputs(fb_real t, const fb_real *restrict constants, fb_real *restrict inputs)
 {
     (void)constants;
@@ -112,7 +112,7 @@ static void default_inputs(fb_real t, const fb_real *restrict constants, fb_real
     inputs[0] = 100.0*z0;
 }
 
-/* q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0. */
+/* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0. */
 static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict coordinate_rates, fb_real *restrict mass_matrix,
     fb_real *restrict forcing, fb_real *restrict constraint_jacobian, fb_real *restrict acceleration_bias)
@@ -216,7 +216,7 @@ static void dynamics(fb_real t, const fb_real *restrict x, const fb_real *restri
     forcing[0] = -z46;
 }
 
-/* Constraint violations: w of J v = -w, which corrects Phi, then those that no speed changes; J u + b. */
+/* w of J v = -w, which corrects Phi, then the invariants; J u + b. */
 static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict position_violation, fb_real *restrict velocity_violation)
 {
@@ -251,7 +251,7 @@ static void constraint_violation(fb_real t, const fb_real *restrict x, const fb_
     velocity_violation[1] = z8*z0 + z10*z3 + z11*z4;
 }
 
-/* Scales of violations: of the position constraints, and of the rows of `constraint_violation`. */
+/* Rounding errors, over the precision of double, of Phi and of both results of constraint_violation. */
 static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict position_scale, fb_real *restrict position_violation_scale,
     fb_real *restrict velocity_violation_scale)
@@ -344,7 +344,7 @@ static void constraint_scale(fb_real t, const fb_real *restrict x, const fb_real
     velocity_violation_scale[1] = z61;
 }
 
-/* The change of the coordinates that corrects position constraints which no speed changes. */
+/* The change of q that corrects the invariants. */
 static void invariant_correction(fb_real t, const fb_real *restrict q, const fb_real *restrict constants,
     const fb_real *restrict r, fb_real *restrict invariant_correction)
 {
@@ -357,7 +357,7 @@ static void invariant_correction(fb_real t, const fb_real *restrict q, const fb_
     invariant_correction[2] = fb_number(0.0);
 }
 
-/* K v, the change of the coordinates for a change v of the speeds' integrals. */
+/* K v, the change of q for a change v of the speeds' integrals, for q' = K u + k. */
 static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_real *restrict constants,
     const fb_real *restrict r, const fb_real *restrict change, fb_real *restrict coordinate_change)
 {
@@ -377,8 +377,9 @@ static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_rea
 #include "fourbar_side_by_side.h"
 #else
 /* Times at which expressions have a jump or a kink. */
-static void breakpoints(const double *restrict constants, double *restrict breakpoints)
+static void breakpoints(double t, const double *restrict constants, double *restrict breakpoints)
 {
+    (void)t;
     (void)constants;
     (void)breakpoints;
 }
@@ -510,7 +511,7 @@ static void energy(double t, const double *restrict x, const double *restrict co
     energies[1] = z22;
 }
 
-/* The outputs, with u' and lambda given. */
+/* The outputs. */
 static void output(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict outputs)
@@ -524,7 +525,7 @@ static void output(double t, const double *restrict x, const double *restrict co
     (void)outputs;
 }
 
-/* z', with u' and lambda given. */
+/* z'. */
 static void state_rates(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict state_rates)
@@ -538,7 +539,7 @@ static void state_rates(double t, const double *restrict x, const double *restri
     (void)state_rates;
 }
 
-/* Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds. */
+/* F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0. */
 static void unknown_forces(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict forces, double *restrict force_effect,
     double *restrict force_effect_jacobian, double *restrict auxiliary_forcing,
@@ -575,7 +576,7 @@ static int call_breakpoints(const fb_at *at, const double *const *arguments, dou
     void *work)
 {
     (void)arguments, (void)work;
-    breakpoints(at->constants, results[0]);
+    breakpoints(at->t, at->constants, results[0]);
     return FB_OK;
 }
 
@@ -678,12 +679,13 @@ static const fb_function own_functions[FB_N_ROLES] = {
     [FB_DYNAMICS] = {call_dynamics, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 0, 5, NULL, dynamics_results},
     [FB_DEFAULT_INPUTS] = {call_default_inputs, 0, 0, 1, NULL, default_inputs_results},
     [FB_BREAKPOINTS] = {call_breakpoints, 0, 0, 1, NULL, breakpoints_results},
-    [FB_POSITION] = {call_position, 0, 0, 2, NULL, position_results},
+    [FB_POSITION] = {call_position, FB_NEEDS_COORDINATES, 0, 2, NULL, position_results},
     [FB_VELOCITY] = {call_velocity, FB_NEEDS_STATE, 0, 2, NULL, velocity_results},
     [FB_CONSTRAINT_VIOLATION] = {call_constraint_violation, FB_NEEDS_STATE, 0, 2, NULL,
         constraint_violation_results},
     [FB_CONSTRAINT_SCALE] = {call_constraint_scale, FB_NEEDS_STATE, 0, 3, NULL, constraint_scale_results},
-    [FB_INVARIANT_CORRECTION] = {call_invariant_correction, 0, 0, 1, NULL, invariant_correction_results},
+    [FB_INVARIANT_CORRECTION] = {call_invariant_correction, FB_NEEDS_COORDINATES, 0, 1, NULL,
+        invariant_correction_results},
     [FB_COORDINATE_CHANGE] = {call_coordinate_change, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 1, 1,
         coordinate_change_arguments, coordinate_change_results},
     [FB_ENERGY] = {call_energy, FB_NEEDS_STATE, 0, 1, NULL, energy_results},

@@ -18,251 +18,7 @@
 
 #include <math.h>
 
-/* The gradient by x, p and r of the weighted sum of q', and f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held. */
-static void residual_vjp(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
-    const double *restrict weights, double *restrict gradient)
-{
-    (void)t;
-    const double q1 = x[0];
-    const double q2 = x[1];
-    const double q3 = x[2];
-    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
-    const double z0 = angles0.cos[0];
-    const double l2 = constants[2];
-    const double dynamics6 = weights[6];
-    const double z1 = l2*dynamics6;
-    const double u1_rate = accelerations[0];
-    const double z2 = l2*u1_rate;
-    const double z3 = angles0.sin[0];
-    const double z4 = angles0.cos[1];
-    const double z5 = angles0.sin[1];
-    const double z6 = z3*z4 + z0*z5;
-    const double dynamics3 = weights[3];
-    const double dynamics4 = weights[4];
-    const double z7 = dynamics3 + dynamics4;
-    const double l3 = constants[3];
-    const double z8 = l3*z7;
-    const double z9 = z6*z8;
-    const double z10 = l2*dynamics3;
-    const double z11 = z3*z10 + (1.0/2.0)*z9;
-    const double z12 = (1.0/2.0)*z9 + z11;
-    gradient[14] = -z12;
-    const double z13 = angles0.cos[2];
-    const double z14 = angles0.sin[2];
-    const double z15 = z0*z4 - z3*z5;
-    const double z16 = z13*z6 + z14*z15;
-    const double dynamics5 = weights[5];
-    const double z17 = dynamics5 + z7;
-    const double l4 = constants[4];
-    const double z18 = l4*z17;
-    const double z19 = z12 + (1.0/2.0)*z16*z18;
-    const double k9 = constants[9];
-    const double z20 = k9*z19;
-    const double k8 = constants[8];
-    const double z21 = z20 + k8*z11;
-    const double u1 = x[3];
-    const double z22 = u1*l2;
-    const double z23 = u1*z22;
-    const double z24 = z15*z8;
-    const double z25 = z0*z10;
-    const double z26 = z25 + (1.0/2.0)*z24;
-    const double z27 = z13*z15 - z14*z6;
-    const double z28 = (1.0/2.0)*z24 + z26 + (1.0/2.0)*z27*z18;
-    const double z29 = k9*z28;
-    const double z30 = z29 + k8*z26;
-    const double dynamics7 = weights[7];
-    const double z31 = l2*dynamics7;
-    const double z32 = u1*z31;
-    const double u2 = x[4];
-    const double z33 = u1 + u2;
-    const double z34 = l3*z33;
-    const double z35 = z33*z34;
-    const double u2_rate = accelerations[1];
-    const double z36 = u1_rate + u2_rate;
-    const double z37 = l3*z36;
-    const double z38 = z15*z35 + z6*z37;
-    const double u3 = x[5];
-    const double z39 = u3 + z33;
-    const double z40 = l4*z39;
-    const double z41 = z39*z40;
-    const double u3_rate = accelerations[2];
-    const double z42 = u3_rate + z36;
-    const double z43 = l4*z42;
-    const double z44 = z0*z23 + z3*z2 + (1.0/2.0)*z38;
-    const double z45 = (1.0/2.0)*z38 + (1.0/2.0)*(z27*z41 + z16*z43) + z44;
-    const double z46 = k9*z45;
-    const double r_F = r[0];
-    const double z47 = r_F + z46;
-    const double z48 = z47 + k8*z44;
-    const double z49 = l3*dynamics6;
-    const double z50 = z20 + z21;
-    const double z51 = z29 + z30;
-    const double z52 = l3*dynamics7;
-    const double z53 = z33*z52;
-    const double z54 = l4*dynamics6;
-    const double z55 = l4*dynamics7;
-    const double z56 = z39*z55;
-    const double lambda0 = multipliers[0];
-    const double z57 = z42*z54 - (1.0/2.0)*z43*z20 + (1.0/2.0)*z41*z29 + z39*z56 - z18*(lambda0 +
-        (1.0/2.0)*z46);
-    const double z58 = z39*z54;
-    const double z59 = z6*z35 - z15*z37;
-    const double z60 = z3*z23 - z0*z2 + (1.0/2.0)*z59;
-    const double z61 = (1.0/2.0)*z59 + (1.0/2.0)*(z16*z41 - z27*z43) + z60;
-    const double k16 = constants[16];
-    const double z62 = k16 - k9*z61;
-    const double lambda1 = multipliers[1];
-    const double z63 = lambda1 - (1.0/2.0)*z62;
-    const double z64 = z42*z55 + (1.0/2.0)*z43*z29 + (1.0/2.0)*z41*z20 - z39*z58 - z18*z63;
-    const double z65 = z47 + z48;
-    const double z66 = z36*z49 - (1.0/2.0)*z37*z50 + (1.0/2.0)*z35*z51 + z33*z53 + z13*z57 + z14*z64 -
-        z8*(lambda0 + (1.0/2.0)*z65);
-    const double z67 = z33*z49;
-    const double k17 = constants[17];
-    const double z68 = k17 + z62 - k8*z60;
-    const double z69 = z36*z52 + (1.0/2.0)*z37*z51 + (1.0/2.0)*z35*z50 - z33*z67 - z14*z57 + z13*z64 +
-        z8*((1.0/2.0)*z68 - z63);
-    const double z70 = u1_rate*z1 - z2*z21 + z23*z30 + u1*z32 - z10*(lambda0 + z48) + z4*z66 + z5*z69;
-    const double z71 = u1*z1;
-    const double k18 = constants[18];
-    const double z72 = z68 + (k18 + z68);
-    const double z73 = u1_rate*z31 + z2*z30 + z23*z21 - u1*z71 - z10*(lambda1 - (1.0/2.0)*z72) - z5*z66 +
-        z4*z69;
-    gradient[0] = z0*z70 + z3*z73;
-    const double k_ = constants[5];
-    const double z74 = k_*dynamics3 - z4*(z0*z66 + z3*z69) + z5*(z3*z66 - z0*z69);
-    gradient[1] = -z74;
-    const double z75 = z13*(z15*z57 + z6*z64) - z14*(z6*z57 - z15*z64);
-    gradient[2] = z75;
-    const double z76 = u1*z3;
-    const double z77 = u1*z0;
-    const double z78 = z3*z30 - z0*z21;
-    const double z79 = u1*z78;
-    const double z80 = z33*z6;
-    const double z81 = z33*z15;
-    const double z82 = z6*z51 - z15*z50;
-    const double z83 = z39*z16;
-    const double z84 = z39*z27;
-    const double z85 = z16*z29 - z27*z20;
-    const double z86 = z39*z85;
-    const double k32 = constants[32];
-    const double z87 = z83*z55 + z84*z54 + (1.0/2.0)*z40*z85 + z27*z58 + z16*z56 + k32*z86;
-    const double dynamics2 = weights[2];
-    gradient[5] = dynamics2 + z87;
-    const double z88 = z33*z82;
-    const double z89 = z80*z52 + z81*z49 + (1.0/2.0)*z34*z82 + z15*z67 + z6*z53 + z87 + z88*((1.0/2.0)*l3);
-    const double c = constants[6];
-    const double dynamics1 = weights[1];
-    gradient[4] = dynamics1 - c*dynamics3 + z89;
-    const double dynamics0 = weights[0];
-    const double z90 = dynamics0 + z76*z31 + z77*z1 + z22*z78 + z0*z71 + z3*z32 + l2*z79 + z89;
-    gradient[3] = z90;
-    const double z91 = l4*l4;
-    const double z92 = z42*z17;
-    const double z93 = l3*l3;
-    const double z94 = z36*z7;
-    const double z95 = l2*l2;
-    const double z96 = u1_rate*dynamics3;
-    const double z97 = z28*z61 - z19*z45;
-    const double z98 = z26*z60 - z11*z44;
-    const double z99 = z2*z10;
-    const double g = constants[7];
-    const double z100 = l4*g*z28 + l3*g*z26 + z25*((1.0/2.0)*l2*g) + z91*z92*((1.0/12.0)*l4) +
-        z93*z94*((1.0/12.0)*l3) + z95*z96*((1.0/12.0)*l2) - l4*z97 - l3*z98 + z99*((1.0/4.0)*l2);
-    gradient[6] = -z100;
-    const double rho = constants[0];
-    const double z101 = rho*l2;
-    gradient[13] = -(z30 + (1.0/2.0)*z101*z25);
-    const double z102 = rho*g;
-    const double z103 = z0*lambda1 - z3*lambda0 - (1.0/2.0)*((1.0/2.0)*z101*z2 + 2.0*z3*z48 + z0*z72);
-    const double z104 = (u1*z76 - u1_rate*z0)*dynamics7 + (u1*z77 + u1_rate*z3)*dynamics6 - u1_rate*(z0*z30 +
-        z3*z21 + (1.0/4.0)*z101*z10) - (1.0/2.0)*z102*z25 + u1*z79 + z99*(-(1.0/4.0)*rho) -
-        rho*z96*((1.0/12.0)*z95 - (-(1.0/6.0)*z95)) + dynamics3*z103;
-    gradient[8] = z104;
-    const double z105 = z15*lambda1 - z6*lambda0 - (1.0/2.0)*(z15*(z62 + z68) + z6*z65);
-    const double z106 = (z33*z80 - z15*z36)*dynamics7 + (z33*z81 + z6*z36)*dynamics6 - (1.0/2.0)*z36*(z15*z51
-        + z6*z50) - z102*z26 + (1.0/2.0)*z33*z88 + rho*z98 - rho*z94*((1.0/12.0)*z93 - (-(1.0/6.0)*z93)) +
-        z7*z105;
-    gradient[9] = z106;
-    const double z107 = z17*(z27*lambda1 - z16*lambda0 - (1.0/2.0)*(z16*z46 + z27*z62));
-    const double z108 = (z39*z83 - z27*z42)*dynamics7 + (z39*z84 + z16*z42)*dynamics6 - (1.0/2.0)*z42*(z27*z29
-        + z16*z20) - z102*z28 + (1.0/2.0)*z39*z86 + rho*z97 + z107 - rho*z92*((1.0/12.0)*z91 - (-(1.0/6.0)*z91));
-    gradient[7] = 0.0;
-    gradient[10] = z108;
-    gradient[11] = -q2*dynamics3;
-    gradient[12] = -u2*dynamics3;
-}
-
-/* The gradient by x, p and r of the weighted sum of the results of constraint_violation. */
-static void constraint_vjp(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, const double *restrict weights, double *restrict gradient)
-{
-    (void)t;
-    (void)r;
-    const double q1 = x[0];
-    const double q2 = x[1];
-    const double q3 = x[2];
-    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
-    const double z0 = angles0.cos[0];
-    const double z1 = angles0.cos[1];
-    const double z2 = angles0.cos[2];
-    const double u1 = x[3];
-    const double u2 = x[4];
-    const double z3 = u1 + u2;
-    const double u3 = x[5];
-    const double z4 = u3 + z3;
-    const double l4 = constants[4];
-    const double constraints2 = weights[2];
-    const double z5 = l4*constraints2;
-    const double constraints1 = weights[1];
-    const double z6 = l4*constraints1 - z4*z5;
-    const double z7 = angles0.sin[2];
-    const double constraints3 = weights[3];
-    const double z8 = l4*constraints3;
-    const double constraints0 = weights[0];
-    const double z9 = l4*constraints0 + z4*z8;
-    const double l3 = constants[3];
-    const double z10 = l3*constraints2;
-    const double z11 = l3*constraints1 + z2*z6 - z7*z9 - z3*z10;
-    const double z12 = angles0.sin[1];
-    const double z13 = l3*constraints3;
-    const double z14 = l3*constraints0 + z7*z6 + z2*z9 + z3*z13;
-    const double l2 = constants[2];
-    const double z15 = l2*constraints2;
-    const double z16 = z0*(l2*constraints1 + z1*z11 - z12*z14 - u1*z15);
-    const double z17 = angles0.sin[0];
-    const double z18 = l2*constraints3;
-    const double z19 = z17*(l2*constraints0 + z12*z11 + z1*z14 + u1*z18);
-    gradient[0] = z16 - z19;
-    const double z20 = z1*(z0*z11 - z17*z14) - z12*(z17*z11 + z0*z14);
-    gradient[1] = z20;
-    const double z21 = z0*z1 - z17*z12;
-    const double z22 = z17*z1 + z0*z12;
-    const double z23 = z2*(z21*z6 - z22*z9) - z7*(z22*z6 + z21*z9);
-    gradient[2] = z23;
-    const double z24 = z2*z21 - z7*z22;
-    const double z25 = z2*z22 + z7*z21;
-    const double z26 = z24*z8 - z25*z5;
-    gradient[5] = z26;
-    const double z27 = z21*z13 - z22*z10 + z26;
-    gradient[3] = z0*z18 - z17*z15 + z27;
-    gradient[4] = z27;
-    const double z28 = z17*constraints1 + z0*constraints0 + u1*(z0*constraints3 - z17*constraints2);
-    gradient[8] = z28;
-    const double z29 = z22*constraints1 + z21*constraints0 + z3*(z21*constraints3 - z22*constraints2);
-    gradient[9] = z29;
-    const double z30 = z25*constraints1 + z24*constraints0 + z4*(z24*constraints3 - z25*constraints2);
-    gradient[6] = 0.0;
-    gradient[7] = constraints0;
-    gradient[10] = z30;
-    gradient[11] = 0.0;
-    gradient[12] = 0.0;
-    gradient[13] = 0.0;
-    gradient[14] = 0.0;
-}
-
-/* What residual_jvp_columns needs of a state. */
+/* The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held. */
 static void residual_jvp_factors(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
     double *restrict factors)
@@ -415,54 +171,7 @@ static void residual_jvp_factors(double t, const double *restrict x, const doubl
     factors[74] = z46;
 }
 
-/* What constraint_jvp_columns needs of a state. */
-static void constraint_jvp_factors(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, double *restrict factors)
-{
-    (void)t;
-    (void)constants;
-    (void)r;
-    const double q1 = x[0];
-    const double q2 = x[1];
-    const double q3 = x[2];
-    const fb_angles angles0 = fb_angles_of(q3, q1, q2, 0.0);
-    const double z0 = angles0.cos[0];
-    factors[5] = z0;
-    const double z1 = angles0.cos[1];
-    factors[2] = z1;
-    const double u1 = x[3];
-    factors[18] = u1*z1;
-    const double z2 = angles0.cos[2];
-    factors[7] = z2;
-    const double z3 = angles0.sin[1];
-    factors[3] = z3;
-    factors[12] = u1*z3;
-    const double z4 = angles0.sin[2];
-    factors[8] = z4;
-    const double z5 = z1*z2 - z3*z4;
-    factors[1] = z5;
-    const double z6 = angles0.sin[0];
-    factors[4] = z6;
-    const double z7 = z3*z2 + z1*z4;
-    factors[6] = z7;
-    const double z8 = z0*z5 - z6*z7;
-    factors[0] = z8;
-    const double z9 = z0*z7 + z6*z5;
-    factors[9] = z9;
-    const double u2 = x[4];
-    const double z10 = u1 + u2;
-    factors[11] = z10*z7;
-    factors[15] = z10;
-    factors[17] = z10*z5;
-    const double u3 = x[5];
-    const double z11 = u3 + z10;
-    factors[10] = z11*z9;
-    factors[13] = u1;
-    factors[14] = z11;
-    factors[16] = z11*z8;
-}
-
-/* q', and f - M u' + J^T lambda and -(J u' + gamma) with u' and lambda held, differentiated along a direction of x, p and r. */
+/* The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held. */
 static void residual_jvp_columns(const double *restrict constants, const double *restrict factors,
     const fb_many *restrict direction, fb_many *restrict coordinate_rate_variation,
     fb_many *restrict residual_variation)
@@ -638,7 +347,54 @@ static void residual_jvp(double t, const double *restrict x, const double *restr
         of_coordinate_rate_variation, 5, of_residual_variation, coordinate_rate_variation, residual_variation);
 }
 
-/* The results of constraint_violation differentiated along a direction of x, p and r. */
+/* The JVP of constraint_violation along directions of (x, p, r). */
+static void constraint_jvp_factors(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict factors)
+{
+    (void)t;
+    (void)constants;
+    (void)r;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q3, q1, q2, 0.0);
+    const double z0 = angles0.cos[0];
+    factors[5] = z0;
+    const double z1 = angles0.cos[1];
+    factors[2] = z1;
+    const double u1 = x[3];
+    factors[18] = u1*z1;
+    const double z2 = angles0.cos[2];
+    factors[7] = z2;
+    const double z3 = angles0.sin[1];
+    factors[3] = z3;
+    factors[12] = u1*z3;
+    const double z4 = angles0.sin[2];
+    factors[8] = z4;
+    const double z5 = z1*z2 - z3*z4;
+    factors[1] = z5;
+    const double z6 = angles0.sin[0];
+    factors[4] = z6;
+    const double z7 = z3*z2 + z1*z4;
+    factors[6] = z7;
+    const double z8 = z0*z5 - z6*z7;
+    factors[0] = z8;
+    const double z9 = z0*z7 + z6*z5;
+    factors[9] = z9;
+    const double u2 = x[4];
+    const double z10 = u1 + u2;
+    factors[11] = z10*z7;
+    factors[15] = z10;
+    factors[17] = z10*z5;
+    const double u3 = x[5];
+    const double z11 = u3 + z10;
+    factors[10] = z11*z9;
+    factors[13] = u1;
+    factors[14] = z11;
+    factors[16] = z11*z8;
+}
+
+/* The JVP of constraint_violation along directions of (x, p, r). */
 static void constraint_jvp_columns(const double *restrict constants, const double *restrict factors,
     const fb_many *restrict direction, fb_many *restrict position_variation,
     fb_many *restrict velocity_variation)
@@ -710,25 +466,248 @@ static void constraint_jvp(double t, const double *restrict x, const double *res
         of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
 }
 
-static const fb_array residual_vjp_arguments[] = {{"weights", 8, -1}};
-static const fb_array residual_vjp_results[] = {{"gradient", 15, -1}};
-static int call_residual_vjp(const fb_at *at, const double *const *arguments, double *const *results,
-    void *work)
+/* The gradient with respect to (x, p, r) of weights times q' and the residual. */
+static void residual_vjp(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict accelerations, const double *restrict multipliers,
+    const double *restrict weights, double *restrict gradient)
 {
-    (void)work;
-    residual_vjp(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, arguments[0],
-        results[0]);
-    return FB_OK;
+    (void)t;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
+    const double z0 = angles0.cos[0];
+    const double l2 = constants[2];
+    const double dynamics6 = weights[6];
+    const double z1 = l2*dynamics6;
+    const double u1_rate = accelerations[0];
+    const double z2 = l2*u1_rate;
+    const double z3 = angles0.sin[0];
+    const double z4 = angles0.cos[1];
+    const double z5 = angles0.sin[1];
+    const double z6 = z3*z4 + z0*z5;
+    const double dynamics3 = weights[3];
+    const double dynamics4 = weights[4];
+    const double z7 = dynamics3 + dynamics4;
+    const double l3 = constants[3];
+    const double z8 = l3*z7;
+    const double z9 = z6*z8;
+    const double z10 = l2*dynamics3;
+    const double z11 = z3*z10 + (1.0/2.0)*z9;
+    const double z12 = (1.0/2.0)*z9 + z11;
+    gradient[14] = -z12;
+    const double z13 = angles0.cos[2];
+    const double z14 = angles0.sin[2];
+    const double z15 = z0*z4 - z3*z5;
+    const double z16 = z13*z6 + z14*z15;
+    const double dynamics5 = weights[5];
+    const double z17 = dynamics5 + z7;
+    const double l4 = constants[4];
+    const double z18 = l4*z17;
+    const double z19 = z12 + (1.0/2.0)*z16*z18;
+    const double k9 = constants[9];
+    const double z20 = k9*z19;
+    const double k8 = constants[8];
+    const double z21 = z20 + k8*z11;
+    const double u1 = x[3];
+    const double z22 = u1*l2;
+    const double z23 = u1*z22;
+    const double z24 = z15*z8;
+    const double z25 = z0*z10;
+    const double z26 = z25 + (1.0/2.0)*z24;
+    const double z27 = z13*z15 - z14*z6;
+    const double z28 = (1.0/2.0)*z24 + z26 + (1.0/2.0)*z27*z18;
+    const double z29 = k9*z28;
+    const double z30 = z29 + k8*z26;
+    const double dynamics7 = weights[7];
+    const double z31 = l2*dynamics7;
+    const double z32 = u1*z31;
+    const double u2 = x[4];
+    const double z33 = u1 + u2;
+    const double z34 = l3*z33;
+    const double z35 = z33*z34;
+    const double u2_rate = accelerations[1];
+    const double z36 = u1_rate + u2_rate;
+    const double z37 = l3*z36;
+    const double z38 = z15*z35 + z6*z37;
+    const double u3 = x[5];
+    const double z39 = u3 + z33;
+    const double z40 = l4*z39;
+    const double z41 = z39*z40;
+    const double u3_rate = accelerations[2];
+    const double z42 = u3_rate + z36;
+    const double z43 = l4*z42;
+    const double z44 = z0*z23 + z3*z2 + (1.0/2.0)*z38;
+    const double z45 = (1.0/2.0)*z38 + (1.0/2.0)*(z27*z41 + z16*z43) + z44;
+    const double z46 = k9*z45;
+    const double r_F = r[0];
+    const double z47 = r_F + z46;
+    const double z48 = z47 + k8*z44;
+    const double z49 = l3*dynamics6;
+    const double z50 = z20 + z21;
+    const double z51 = z29 + z30;
+    const double z52 = l3*dynamics7;
+    const double z53 = z33*z52;
+    const double z54 = l4*dynamics6;
+    const double z55 = l4*dynamics7;
+    const double z56 = z39*z55;
+    const double lambda0 = multipliers[0];
+    const double z57 = z42*z54 - (1.0/2.0)*z43*z20 + (1.0/2.0)*z41*z29 + z39*z56 - z18*(lambda0 +
+        (1.0/2.0)*z46);
+    const double z58 = z39*z54;
+    const double z59 = z6*z35 - z15*z37;
+    const double z60 = z3*z23 - z0*z2 + (1.0/2.0)*z59;
+    const double z61 = (1.0/2.0)*z59 + (1.0/2.0)*(z16*z41 - z27*z43) + z60;
+    const double k16 = constants[16];
+    const double z62 = k16 - k9*z61;
+    const double lambda1 = multipliers[1];
+    const double z63 = lambda1 - (1.0/2.0)*z62;
+    const double z64 = z42*z55 + (1.0/2.0)*z43*z29 + (1.0/2.0)*z41*z20 - z39*z58 - z18*z63;
+    const double z65 = z47 + z48;
+    const double z66 = z36*z49 - (1.0/2.0)*z37*z50 + (1.0/2.0)*z35*z51 + z33*z53 + z13*z57 + z14*z64 -
+        z8*(lambda0 + (1.0/2.0)*z65);
+    const double z67 = z33*z49;
+    const double k17 = constants[17];
+    const double z68 = k17 + z62 - k8*z60;
+    const double z69 = z36*z52 + (1.0/2.0)*z37*z51 + (1.0/2.0)*z35*z50 - z33*z67 - z14*z57 + z13*z64 +
+        z8*((1.0/2.0)*z68 - z63);
+    const double z70 = u1_rate*z1 - z2*z21 + z23*z30 + u1*z32 - z10*(lambda0 + z48) + z4*z66 + z5*z69;
+    const double z71 = u1*z1;
+    const double k18 = constants[18];
+    const double z72 = z68 + (k18 + z68);
+    const double z73 = u1_rate*z31 + z2*z30 + z23*z21 - u1*z71 - z10*(lambda1 - (1.0/2.0)*z72) - z5*z66 +
+        z4*z69;
+    gradient[0] = z0*z70 + z3*z73;
+    const double k_ = constants[5];
+    const double z74 = k_*dynamics3 - z4*(z0*z66 + z3*z69) + z5*(z3*z66 - z0*z69);
+    gradient[1] = -z74;
+    const double z75 = z13*(z15*z57 + z6*z64) - z14*(z6*z57 - z15*z64);
+    gradient[2] = z75;
+    const double z76 = u1*z3;
+    const double z77 = u1*z0;
+    const double z78 = z3*z30 - z0*z21;
+    const double z79 = u1*z78;
+    const double z80 = z33*z6;
+    const double z81 = z33*z15;
+    const double z82 = z6*z51 - z15*z50;
+    const double z83 = z39*z16;
+    const double z84 = z39*z27;
+    const double z85 = z16*z29 - z27*z20;
+    const double z86 = z39*z85;
+    const double k32 = constants[32];
+    const double z87 = z83*z55 + z84*z54 + (1.0/2.0)*z40*z85 + z27*z58 + z16*z56 + k32*z86;
+    const double dynamics2 = weights[2];
+    gradient[5] = dynamics2 + z87;
+    const double z88 = z33*z82;
+    const double z89 = z80*z52 + z81*z49 + (1.0/2.0)*z34*z82 + z15*z67 + z6*z53 + z87 + z88*((1.0/2.0)*l3);
+    const double c = constants[6];
+    const double dynamics1 = weights[1];
+    gradient[4] = dynamics1 - c*dynamics3 + z89;
+    const double dynamics0 = weights[0];
+    const double z90 = dynamics0 + z76*z31 + z77*z1 + z22*z78 + z0*z71 + z3*z32 + l2*z79 + z89;
+    gradient[3] = z90;
+    const double z91 = l4*l4;
+    const double z92 = z42*z17;
+    const double z93 = l3*l3;
+    const double z94 = z36*z7;
+    const double z95 = l2*l2;
+    const double z96 = u1_rate*dynamics3;
+    const double z97 = z28*z61 - z19*z45;
+    const double z98 = z26*z60 - z11*z44;
+    const double z99 = z2*z10;
+    const double g = constants[7];
+    const double z100 = l4*g*z28 + l3*g*z26 + z25*((1.0/2.0)*l2*g) + z91*z92*((1.0/12.0)*l4) +
+        z93*z94*((1.0/12.0)*l3) + z95*z96*((1.0/12.0)*l2) - l4*z97 - l3*z98 + z99*((1.0/4.0)*l2);
+    gradient[6] = -z100;
+    const double rho = constants[0];
+    const double z101 = rho*l2;
+    gradient[13] = -(z30 + (1.0/2.0)*z101*z25);
+    const double z102 = rho*g;
+    const double z103 = z0*lambda1 - z3*lambda0 - (1.0/2.0)*((1.0/2.0)*z101*z2 + 2.0*z3*z48 + z0*z72);
+    const double z104 = (u1*z76 - u1_rate*z0)*dynamics7 + (u1*z77 + u1_rate*z3)*dynamics6 - u1_rate*(z0*z30 +
+        z3*z21 + (1.0/4.0)*z101*z10) - (1.0/2.0)*z102*z25 + u1*z79 + z99*(-(1.0/4.0)*rho) -
+        rho*z96*((1.0/12.0)*z95 - (-(1.0/6.0)*z95)) + dynamics3*z103;
+    gradient[8] = z104;
+    const double z105 = z15*lambda1 - z6*lambda0 - (1.0/2.0)*(z15*(z62 + z68) + z6*z65);
+    const double z106 = (z33*z80 - z15*z36)*dynamics7 + (z33*z81 + z6*z36)*dynamics6 - (1.0/2.0)*z36*(z15*z51
+        + z6*z50) - z102*z26 + (1.0/2.0)*z33*z88 + rho*z98 - rho*z94*((1.0/12.0)*z93 - (-(1.0/6.0)*z93)) +
+        z7*z105;
+    gradient[9] = z106;
+    const double z107 = z17*(z27*lambda1 - z16*lambda0 - (1.0/2.0)*(z16*z46 + z27*z62));
+    const double z108 = (z39*z83 - z27*z42)*dynamics7 + (z39*z84 + z16*z42)*dynamics6 - (1.0/2.0)*z42*(z27*z29
+        + z16*z20) - z102*z28 + (1.0/2.0)*z39*z86 + rho*z97 + z107 - rho*z92*((1.0/12.0)*z91 - (-(1.0/6.0)*z91));
+    gradient[7] = 0.0;
+    gradient[10] = z108;
+    gradient[11] = -q2*dynamics3;
+    gradient[12] = -u2*dynamics3;
 }
 
-static const fb_array constraint_vjp_arguments[] = {{"weights", 4, -1}};
-static const fb_array constraint_vjp_results[] = {{"gradient", 15, -1}};
-static int call_constraint_vjp(const fb_at *at, const double *const *arguments, double *const *results,
-    void *work)
+/* The gradient with respect to (x, p, r) of weights times constraint_violation. */
+static void constraint_vjp(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, const double *restrict weights, double *restrict gradient)
 {
-    (void)work;
-    constraint_vjp(at->t, at->x, at->constants, at->r, arguments[0], results[0]);
-    return FB_OK;
+    (void)t;
+    (void)r;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double q3 = x[2];
+    const fb_angles angles0 = fb_angles_of(q1, q2, q3, 0.0);
+    const double z0 = angles0.cos[0];
+    const double z1 = angles0.cos[1];
+    const double z2 = angles0.cos[2];
+    const double u1 = x[3];
+    const double u2 = x[4];
+    const double z3 = u1 + u2;
+    const double u3 = x[5];
+    const double z4 = u3 + z3;
+    const double l4 = constants[4];
+    const double constraints2 = weights[2];
+    const double z5 = l4*constraints2;
+    const double constraints1 = weights[1];
+    const double z6 = l4*constraints1 - z4*z5;
+    const double z7 = angles0.sin[2];
+    const double constraints3 = weights[3];
+    const double z8 = l4*constraints3;
+    const double constraints0 = weights[0];
+    const double z9 = l4*constraints0 + z4*z8;
+    const double l3 = constants[3];
+    const double z10 = l3*constraints2;
+    const double z11 = l3*constraints1 + z2*z6 - z7*z9 - z3*z10;
+    const double z12 = angles0.sin[1];
+    const double z13 = l3*constraints3;
+    const double z14 = l3*constraints0 + z7*z6 + z2*z9 + z3*z13;
+    const double l2 = constants[2];
+    const double z15 = l2*constraints2;
+    const double z16 = z0*(l2*constraints1 + z1*z11 - z12*z14 - u1*z15);
+    const double z17 = angles0.sin[0];
+    const double z18 = l2*constraints3;
+    const double z19 = z17*(l2*constraints0 + z12*z11 + z1*z14 + u1*z18);
+    gradient[0] = z16 - z19;
+    const double z20 = z1*(z0*z11 - z17*z14) - z12*(z17*z11 + z0*z14);
+    gradient[1] = z20;
+    const double z21 = z0*z1 - z17*z12;
+    const double z22 = z17*z1 + z0*z12;
+    const double z23 = z2*(z21*z6 - z22*z9) - z7*(z22*z6 + z21*z9);
+    gradient[2] = z23;
+    const double z24 = z2*z21 - z7*z22;
+    const double z25 = z2*z22 + z7*z21;
+    const double z26 = z24*z8 - z25*z5;
+    gradient[5] = z26;
+    const double z27 = z21*z13 - z22*z10 + z26;
+    gradient[3] = z0*z18 - z17*z15 + z27;
+    gradient[4] = z27;
+    const double z28 = z17*constraints1 + z0*constraints0 + u1*(z0*constraints3 - z17*constraints2);
+    gradient[8] = z28;
+    const double z29 = z22*constraints1 + z21*constraints0 + z3*(z21*constraints3 - z22*constraints2);
+    gradient[9] = z29;
+    const double z30 = z25*constraints1 + z24*constraints0 + z4*(z24*constraints3 - z25*constraints2);
+    gradient[6] = 0.0;
+    gradient[7] = constraints0;
+    gradient[10] = z30;
+    gradient[11] = 0.0;
+    gradient[12] = 0.0;
+    gradient[13] = 0.0;
+    gradient[14] = 0.0;
 }
 
 static const fb_array residual_jvp_arguments[] = {{"directions", 15, 8}};
@@ -754,17 +733,38 @@ static int call_constraint_jvp(const fb_at *at, const double *const *arguments, 
     return FB_OK;
 }
 
+static const fb_array residual_vjp_arguments[] = {{"weights", 8, -1}};
+static const fb_array residual_vjp_results[] = {{"gradient", 15, -1}};
+static int call_residual_vjp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    residual_vjp(at->t, at->x, at->constants, at->r, at->accelerations, at->multipliers, arguments[0],
+        results[0]);
+    return FB_OK;
+}
+
+static const fb_array constraint_vjp_arguments[] = {{"weights", 4, -1}};
+static const fb_array constraint_vjp_results[] = {{"gradient", 15, -1}};
+static int call_constraint_vjp(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)work;
+    constraint_vjp(at->t, at->x, at->constants, at->r, arguments[0], results[0]);
+    return FB_OK;
+}
+
 const fb_part FB_TABLE(variations) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_part),
     .functions = {
-        [FB_RESIDUAL_VJP] = {call_residual_vjp, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
-            FB_NEEDS_MULTIPLIERS, 1, 1, residual_vjp_arguments, residual_vjp_results},
-        [FB_CONSTRAINT_VJP] = {call_constraint_vjp, FB_NEEDS_STATE, 1, 1, constraint_vjp_arguments,
-            constraint_vjp_results},
         [FB_RESIDUAL_JVP] = {call_residual_jvp, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
             FB_NEEDS_MULTIPLIERS, 1, 2, residual_jvp_arguments, residual_jvp_results},
         [FB_CONSTRAINT_JVP] = {call_constraint_jvp, FB_NEEDS_STATE, 1, 2, constraint_jvp_arguments,
             constraint_jvp_results},
+        [FB_RESIDUAL_VJP] = {call_residual_vjp, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
+            FB_NEEDS_MULTIPLIERS, 1, 1, residual_vjp_arguments, residual_vjp_results},
+        [FB_CONSTRAINT_VJP] = {call_constraint_vjp, FB_NEEDS_STATE, 1, 1, constraint_vjp_arguments,
+            constraint_vjp_results},
     },
 };

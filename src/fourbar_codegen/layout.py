@@ -9,7 +9,14 @@ from enum import IntEnum
 from pathlib import Path
 from typing import Self
 
-__all__ = ["Needs", "Role", "Status", "enums_text"]
+__all__ = ["DIRECTIONS", "VECTOR", "Needs", "Role", "Status", "enums_text"]
+
+
+DIRECTIONS = 8
+"""The most directions that JVPs take at once: the columns of their arguments and results."""
+
+VECTOR = -1
+"""Instead of the number of columns of a vector."""
 
 
 class _Enum(IntEnum):
@@ -45,48 +52,70 @@ class Status(_Enum):
 
 
 class Needs(_Enum):
-    """What a function of a kernel needs to know, besides time, state and parameters."""
+    """What a function of a kernel takes, besides time and parameters."""
 
-    STATE = 8, "all of x, not only q"
-    INPUTS = 1, "all inputs, not only those that prescribe motions"
-    ACCELERATIONS = 2, "u'"
-    MULTIPLIERS = 4, "lambda, and unknown forces behind it"
+    COORDINATES = 1, "q, the first entries of x."
+    STATE = 2, "All of x."
+    INPUTS = 4, "All inputs, not only those that prescribe motions."
+    ACCELERATIONS = 8, "u'."
+    MULTIPLIERS = 16, "lambda, and unknown forces that drive the motion behind it."
+
+
+_HELD = Needs.STATE | Needs.INPUTS | Needs.ACCELERATIONS | Needs.MULTIPLIERS
 
 
 class Role(_Enum):
     """What a function of a kernel computes: its place in the table of functions."""
 
-    BREAKPOINTS = 0, "times at which expressions have a jump or a kink"
-    DEFAULT_INPUTS = 1, "the inputs' expressions"
-    DYNAMICS = 2, "q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0"
-    POSITION = 3, "Phi(q, t) and dPhi/dq"
-    VELOCITY = 4, "J and b of J u + b = 0"
-    CONSTRAINT_VIOLATION = 5, "w of J v = -w, then the invariants; J u + b"
-    CONSTRAINT_SCALE = 6, "sizes of Phi and of both results of CONSTRAINT_VIOLATION"
-    INVARIANT_CORRECTION = 7, "the change of q that corrects the invariants"
-    COORDINATE_CHANGE = 8, "K v of a change v of the speeds' integrals, for q' = K u + k"
-    ENERGY = 9, "kinetic and potential energy"
-    OUTPUT = 10, "the outputs"
-    STATE_RATES = 11, "z'"
-    UNKNOWN_FORCES = 12, "F(n), dF/dn; Q(n), dQ/dn, M_a and J_a^T of Q - M_a u' + J_a^T lambda = 0"
+    needs: int
+    """Of `Needs`, in any combination."""
+
+    def __new__(cls, needs: int, comment: str) -> Self:
+        """A member with the next number."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.needs, member.comment = len(cls.__members__), needs, comment
+        return member
+
+    BREAKPOINTS = 0, "Times at which expressions have a jump or a kink."
+    DEFAULT_INPUTS = 0, "The inputs' expressions; NaN for inputs without one."
+    DYNAMICS = Needs.STATE | Needs.INPUTS, "q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0."
+    POSITION = Needs.COORDINATES, "Holonomic constraints Phi(q, t) and dPhi/dq."
+    VELOCITY = Needs.STATE, "J and b of the velocity constraints J u + b = 0."
+    CONSTRAINT_VIOLATION = Needs.STATE, "w of J v = -w, which corrects Phi, then the invariants; J u + b."
+    CONSTRAINT_SCALE = (
+        Needs.STATE,
+        "Rounding errors, over the precision of double, of Phi and of both results of constraint_violation.",
+    )
+    INVARIANT_CORRECTION = Needs.COORDINATES, "The change of q that corrects the invariants."
+    COORDINATE_CHANGE = (
+        Needs.STATE | Needs.INPUTS,
+        "K v, the change of q for a change v of the speeds' integrals, for q' = K u + k.",
+    )
+    ENERGY = Needs.STATE, "Kinetic and potential energy."
+    OUTPUT = _HELD, "The outputs."
+    STATE_RATES = _HELD, "z'."
+    UNKNOWN_FORCES = (
+        Needs.STATE | Needs.INPUTS,
+        "F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0.",
+    )
     # In the part `derivatives`.
-    DRAWING = 13, "positions of drawn points, and the inputs' forces on them"
-    MOTION = 14, "q''; velocities and accelerations of drawn points"
-    STATE_PARTIALS = 15, "d/dx of q', and of (f - M u' + J^T lambda, -(J u' + gamma), z')"
-    PARAMETER_PARTIALS = 16, "d/dp of the same"
-    INPUT_PARTIALS = 17, "d/dr of the same"
-    DEFAULT_INPUT_PARTIALS = 18, "d/dp of the inputs' expressions"
-    CONSTRAINT_PARTIALS = 19, "d(J u + b)/dq, dPhi/dr and d(J u + b)/dr"
-    STATE_RATE_PARTIALS = 20, "dz'/du' and dz'/dlambda"
-    OUTPUT_STATE_PARTIALS = 21, "d/dx of the outputs"
-    OUTPUT_PARAMETER_PARTIALS = 22, "d/dp of the outputs"
-    OUTPUT_INPUT_PARTIALS = 23, "d/dr of the outputs"
-    OUTPUT_SOLUTION_PARTIALS = 24, "d/du' and d/dlambda of the outputs"
-    # In the part `products`.
-    RESIDUAL_JVP = 25, "the products of the first three with directions of (x, p, r)"
-    CONSTRAINT_JVP = 26, "those of the derivatives of CONSTRAINT_VIOLATION"
-    RESIDUAL_VJP = 27, "the gradient with respect to (x, p, r) of weights times q' and the residual"
-    CONSTRAINT_VJP = 28, "that of weights times the results of CONSTRAINT_VIOLATION"
+    DRAWING = Needs.STATE, "Positions of drawn points, and the inputs' forces on them."
+    MOTION = Needs.STATE | Needs.ACCELERATIONS, "q''; velocities and accelerations of drawn points."
+    STATE_PARTIALS = _HELD, "d/dx of q' and of the residual, with u' and lambda held."
+    PARAMETER_PARTIALS = _HELD, "d/dp of q' and of the residual, with u' and lambda held."
+    INPUT_PARTIALS = _HELD, "d/dr of q' and of the residual, with u' and lambda held."
+    DEFAULT_INPUT_PARTIALS = 0, "d/dp of the inputs' expressions; zero without one."
+    CONSTRAINT_PARTIALS = Needs.STATE, "d(J u + b)/dq, dPhi/dr and d(J u + b)/dr."
+    STATE_RATE_PARTIALS = _HELD, "dz'/du' and dz'/dlambda."
+    OUTPUT_STATE_PARTIALS = _HELD, "d/dx of the outputs, with u' and lambda held."
+    OUTPUT_PARAMETER_PARTIALS = _HELD, "d/dp of the outputs, with u' and lambda held."
+    OUTPUT_INPUT_PARTIALS = _HELD, "d/dr of the outputs, with u' and lambda held."
+    OUTPUT_SOLUTION_PARTIALS = _HELD, "d/du' and d/dlambda of the outputs."
+    # In the part `variations`.
+    RESIDUAL_JVP = _HELD, "The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held."
+    CONSTRAINT_JVP = Needs.STATE, "The JVP of constraint_violation along directions of (x, p, r)."
+    RESIDUAL_VJP = _HELD, "The gradient with respect to (x, p, r) of weights times q' and the residual."
+    CONSTRAINT_VJP = Needs.STATE, "The gradient with respect to (x, p, r) of weights times constraint_violation."
 
     @property
     def part(self) -> str:
@@ -98,7 +127,11 @@ class Role(_Enum):
 
 def enums_text() -> str:
     """The C header with the enumerations."""
-    texts = []
+    constants = (
+        ("FB_DIRECTIONS", DIRECTIONS, "The most columns of directions of JVPs."),
+        ("FB_VECTOR", VECTOR, "The columns of a vector."),
+    )
+    texts = [f"enum {{ {name} = {value} }}; /* {comment} */" for name, value, comment in constants]
     for kind, name, prefix in ((Status, "FB_STATUS", "FB"), (Role, "FB_ROLE", "FB"), (Needs, "FB_NEEDS", "FB_NEEDS")):
         rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
         rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []

@@ -129,9 +129,9 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
 #ifdef FB_SIDE_BY_SIDE
 #include "fourbar_side_by_side.h"
 #else
-static void breakpoints(const double *restrict constants, double *restrict times)
+static void breakpoints(double t, const double *restrict constants, double *restrict times)
 {
-    (void)constants, (void)times;
+    (void)t, (void)constants, (void)times;
 }
 
 static void position(double t, const double *restrict q, const double *restrict constants, const double *restrict r,
@@ -217,7 +217,7 @@ static void unknown_forces(double t, const double *x, const double *constants, c
 #define MATRIX(name, rows, columns) {#name, rows, columns}
 
 static int call_dynamics(const fb_at *, const double *const *, double *const *, void *);
-CALL(breakpoints, at->constants, results[0])
+CALL(breakpoints, at->t, at->constants, results[0])
 CALL(default_inputs, at->t, at->constants, results[0])
 CALL(position, OF_STATE, results[0], results[1])
 CALL(velocity, OF_STATE, results[0], results[1])
@@ -235,13 +235,13 @@ static const fb_function own_functions[FB_N_ROLES] = {
     [FB_DEFAULT_INPUTS] = ROW(default_inputs, 0, VECTOR(default_inputs, N_R)),
     [FB_DYNAMICS] = ROW(dynamics, ALL, VECTOR(coordinate_rates, N_Q), MATRIX(mass_matrix, N_U, N_U),
                         VECTOR(forcing, N_U), MATRIX(constraint_jacobian, N_C, N_U), VECTOR(acceleration_bias, N_C)),
-    [FB_POSITION] = ROW(position, 0, VECTOR(position_constraints, N_H), MATRIX(position_jacobian, N_H, N_Q)),
+    [FB_POSITION] = ROW(position, FB_NEEDS_COORDINATES, VECTOR(position_constraints, N_H), MATRIX(position_jacobian, N_H, N_Q)),
     [FB_VELOCITY] = ROW(velocity, STATE, MATRIX(constraint_jacobian, N_C, N_U), VECTOR(velocity_bias, N_C)),
     [FB_CONSTRAINT_VIOLATION] =
         ROW(constraint_violation, STATE, VECTOR(position_violation, N_C), VECTOR(velocity_violation, N_C)),
     [FB_CONSTRAINT_SCALE] = ROW(constraint_scale, STATE, VECTOR(position_scale, N_H),
                                 VECTOR(position_violation_scale, N_C), VECTOR(velocity_violation_scale, N_C)),
-    [FB_INVARIANT_CORRECTION] = ROW(invariant_correction, 0, VECTOR(invariant_correction, N_Q)),
+    [FB_INVARIANT_CORRECTION] = ROW(invariant_correction, FB_NEEDS_COORDINATES, VECTOR(invariant_correction, N_Q)),
     [FB_COORDINATE_CHANGE] = ROW_OF(VECTOR(change, N_U), coordinate_change, ALL, VECTOR(coordinate_change, N_Q)),
     [FB_ENERGY] = ROW(energy, STATE, VECTOR(energies, 2)),
     [FB_OUTPUT] = ROW(output, SOLVED, VECTOR(outputs, N_O)),

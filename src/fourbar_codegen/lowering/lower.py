@@ -10,6 +10,7 @@ import itertools
 import math
 import random
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations
@@ -29,8 +30,6 @@ from fourbar_codegen.lowering.elimination import (
     solution_cost,
 )
 from fourbar_codegen.lowering.program import (
-    COLUMNS,
-    FACTORS,
     Array,
     Factors,
     Function,
@@ -55,21 +54,11 @@ ELIMINATION = 1.5
 LOOPS = 3
 """... of one multiplication in the short loops for constraints of a recursion."""
 
-_Specification = tuple[str, str, Sequence[Array], Sequence[Array], Sequence[Result]]
-"""Of a function: name, summary, arguments before and after the constants, results."""
-
-ROLES = {role.name.lower(): role for role in Role if role is not Role.DYNAMICS}  # that is assembled in C
-"""Of functions of the kernel's table, by name."""
-
-KINEMATIC = {
-    Role.BREAKPOINTS, Role.DEFAULT_INPUTS, Role.POSITION, Role.VELOCITY, Role.CONSTRAINT_VIOLATION,
-    Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION, Role.ENERGY, Role.DRAWING, Role.MOTION,
-    Role.DEFAULT_INPUT_PARTIALS, Role.CONSTRAINT_PARTIALS, Role.CONSTRAINT_JVP, Role.CONSTRAINT_VJP,
+VECTORIZED = {
+    Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
+    Role.COORDINATE_CHANGE, Role.STATE_RATES,
 }  # fmt: skip
-"""Of functions that need only inputs which prescribe motions; others are in single entries, such as an energy."""
-
-HELD = {"x": Needs.STATE, "accelerations": Needs.ACCELERATIONS, "multipliers": Needs.MULTIPLIERS}
-"""What arguments of these names stand for."""
+"""The functions that are also evaluated for several states in the lanes of vectors; see fourbar_side_by_side.h."""
 
 EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""
@@ -107,25 +96,10 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
     >>> [f.name for f in lower("four_bar", form_equations(four_bar())).functions][:2]
     ['prepare', 'default_inputs']
     """
-    e = equations
-    time = _array("t", (e.time,))
-    state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
-    coordinates = _array("q", e.coordinates)
-    inputs = _array("r", e.inputs)
-    held = _held(e)
-    rank = _rank(e)
-    states_need_multipliers = e.tape.depends(e.state_rates.entries, e.multipliers)
+    e, rank = equations, _rank(equations)
     is_redundant = rank < len(e.velocity_bias.entries)
-    if is_redundant and e.tape.depends(e.state_rates.entries, e.multipliers):
-        raise ModelError(
-            "State equations contain multipliers, which redundant constraints leave undetermined: leave out the "
-            "redundant ones."
-        )
-    if is_redundant and any(e.auxiliary_constraint_jacobian.entries):
-        raise ModelError(
-            "Unknown forces that drive the motion depend on multipliers, which redundant constraints leave "
-            "undetermined: leave out the redundant ones."
-        )
+    states_need_multipliers = e.tape.depends(e.state_rates.entries, e.multipliers)
+    _check_determined(e, is_redundant, states_need_multipliers)
     structure = _structure(e, rank)
     costs = _costs(e, rank, structure)
     form = form or min(costs, key=costs.__getitem__)
@@ -133,105 +107,14 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         raise ModelError(f"{name} has no {form} form; it has: {', '.join(costs)}.")
     if form != "sparse":
         structure = None
-    parameters = {leaf.node for leaf in e.parameters}
-    pool = _Nodes(e.tape, parameters.__contains__)
-    products: list[_Lowered] = []
-    factors = None
-    forcing = e.forcing
-    mass_matrix, constraint_jacobian = _entries(e, structure)
-    if form == "recursive" and e.recursion is not None:
-        forcing = e.recursion.forcing
-        products, factors, mass_matrix = _recursive(e, e.recursion, pool.contains)
-    n_n = len(e.auxiliary_forcing.entries)
-    unknown = e.multipliers[len(e.multipliers) - n_n :]
-    specifications: list[_Specification] = [
-        ("default_inputs", "Inputs r from their expressions; NaN without one.", [time], [], [e.default_inputs]),
-        ("breakpoints", "Times at which expressions have a jump or a kink.", [], [], [e.breakpoints]),
-        (
-            "dynamics",
-            "q', and M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0.",
-            [time, state],
-            [inputs],
-            [e.coordinate_rates, mass_matrix, forcing, constraint_jacobian, e.acceleration_bias],
-        ),
-        (
-            "position",
-            "Holonomic constraints Phi(q, t) and dPhi/dq.",
-            [time, coordinates],
-            [inputs],
-            [e.position_constraints, e.position_jacobian],
-        ),
-        (
-            "velocity",
-            "J and b of the velocity constraints J u + b = 0.",
-            [time, state],
-            [inputs],
-            [e.constraint_jacobian, e.velocity_bias],
-        ),
-        (
-            "constraint_violation",
-            "Constraint violations: w of J v = -w, which corrects Phi, then those that no speed changes; J u + b.",
-            [time, state],
-            [inputs],
-            [e.position_violation, e.velocity_violation],
-        ),
-        (
-            "constraint_scale",
-            "Scales of violations: of the position constraints, and of the rows of `constraint_violation`.",
-            [time, state],
-            [inputs],
-            [e.position_scale, e.position_violation_scale, e.velocity_violation_scale],
-        ),
-        (
-            "invariant_correction",
-            "The change of the coordinates that corrects position constraints which no speed changes.",
-            [time, coordinates],
-            [inputs],
-            [e.invariant_correction],
-        ),
-        (
-            "coordinate_change",
-            "K v, the change of the coordinates for a change v of the speeds' integrals.",
-            [time, state],
-            [inputs, _array("change", e.accelerations)],
-            [e.coordinate_change],
-        ),
-        ("energy", "Kinetic and potential energy.", [time, state], [inputs], [e.energies]),
-        ("output", "The outputs, with u' and lambda given.", [time, state], [*held], [e.outputs]),
-        ("state_rates", "z', with u' and lambda given.", [time, state], [*held], [e.state_rates]),
-        (
-            "unknown_forces",
-            "Unknown forces n: F(n), added to f; Q(n) - M_a u' + J_a^T lambda = 0 of the auxiliary speeds.",
-            [time, state],
-            [inputs, _array("forces", unknown)],
-            [*e.of_unknown_forces],
-        ),
-    ]
-    lowered = _lowered(e.tape, specifications, pool.contains)
-    lowered += [statements for _, statements in products]
-    specifications += [specification for specification, _ in products]
-    constants, prepare = _constants(e, pool, lowered)
-    sizes = Sizes(
-        n_q=len(e.coordinates),
-        n_u=len(e.speeds),
-        n_z=len(e.auxiliary_states),
-        n_p=len(e.parameters),
-        n_r=len(e.inputs),
-        n_h=len(e.position_constraints.entries),
-        n_c=len(e.velocity_bias.entries),
-        n_n=n_n,
-        n_i=len(e.invariants),
-        n_o=len(e.outputs.entries),
-        n_points=len(e.picture.points),
-        n_forces=len(e.forced),
-        n_breakpoints=len(e.breakpoints.entries),
-        rank=rank,
-        n_constants=len(constants.nodes),
-    )
+    pool = _Nodes(e.tape, {leaf.node for leaf in e.parameters}.__contains__)
+    drafts = _Drafts(e, pool.contains)
+    factors = _draft_functions(drafts, structure, e.recursion if form == "recursive" else None)
+    constants, prepare = _constants(e, pool, drafts)
     return Program(
         name=name,
-        sizes=sizes,
-        functions=(prepare, *_functions(e.tape, specifications, lowered, constants)),
+        sizes=_sizes(e, rank, len(constants.nodes)),
+        functions=(prepare, *drafts.functions(constants)),
         constants=constants,
         position_rows=e.position_rows,
         pivot_order=_pivot_order(e, rank, structure),
@@ -240,6 +123,72 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         states_need_solution=e.tape.depends(e.state_rates.entries, (*e.accelerations, *e.multipliers)),
         states_need_multipliers=states_need_multipliers,
         forces_are_linear=e.forces_are_linear,
+    )
+
+
+def _check_determined(e: Equations, is_redundant: bool, states_need_multipliers: bool) -> None:
+    """Raise if the motion depends on multipliers that redundant constraints leave undetermined."""
+    what = ""
+    if states_need_multipliers:
+        what = "State equations contain multipliers, which"
+    elif any(e.auxiliary_constraint_jacobian.entries):
+        what = "Unknown forces that drive the motion depend on multipliers, which"
+    if is_redundant and what:
+        raise ModelError(f"{what} redundant constraints leave undetermined: leave out the redundant ones.")
+
+
+def _draft_functions(drafts: _Drafts, structure: Structure | None, recursion: Recursion | None) -> Factors | None:
+    """Draft all functions that a simulation by an explicit method needs; return the factors of M if they replace M."""
+    e, add, factors = drafts.equations, drafts.add, None
+    forcing, (mass_matrix, constraint_jacobian) = e.forcing, _entries(e, structure)
+    if recursion is not None:
+        forcing, factors, mass_matrix = recursion.forcing, *_draft_recursion(drafts, recursion)
+    add(Role.DEFAULT_INPUTS, e.default_inputs)
+    add(Role.BREAKPOINTS, e.breakpoints)
+    add(Role.DYNAMICS, e.coordinate_rates, mass_matrix, forcing, constraint_jacobian, e.acceleration_bias)
+    add(Role.POSITION, e.position_constraints, e.position_jacobian)
+    add(Role.VELOCITY, e.constraint_jacobian, e.velocity_bias)
+    add(Role.CONSTRAINT_VIOLATION, e.position_violation, e.velocity_violation)
+    add(Role.CONSTRAINT_SCALE, e.position_scale, e.position_violation_scale, e.velocity_violation_scale)
+    add(Role.INVARIANT_CORRECTION, e.invariant_correction)
+    add(Role.COORDINATE_CHANGE, e.coordinate_change, further=_array("change", e.accelerations))
+    add(Role.ENERGY, e.energies)
+    add(Role.OUTPUT, e.outputs)
+    add(Role.STATE_RATES, e.state_rates)
+    unknown = e.multipliers[len(e.velocity_bias.entries) :]
+    add(Role.UNKNOWN_FORCES, *e.of_unknown_forces, further=_array("forces", unknown))
+    return factors
+
+
+def _draft_recursion(drafts: _Drafts, recursion: Recursion) -> tuple[Factors, Result]:
+    """Draft products with M and its inverse; what they need of a state, and that as a result of `dynamics`."""
+    functions = {
+        "mass_solve": ("M^-1 times a vector, with factors of M.", [recursion.solution]),
+        "mass_product": ("M times a vector.", [recursion.product]),
+    }
+    [solve, multiply], nodes = drafts.products(functions, _array("side", recursion.side))
+    drafts.drafts += [replace(solve, is_vectorized=True), multiply]
+    entries = (*recursion.pivots.entries, *(Scalar(drafts.equations.tape, 1, node) for node in nodes))
+    return Factors(nodes), Result("mass_factors", (len(entries),), entries)
+
+
+def _sizes(e: Equations, rank: int, n_constants: int) -> Sizes:
+    return Sizes(
+        n_q=len(e.coordinates),
+        n_u=len(e.speeds),
+        n_z=len(e.auxiliary_states),
+        n_p=len(e.parameters),
+        n_r=len(e.inputs),
+        n_h=len(e.position_constraints.entries),
+        n_c=len(e.velocity_bias.entries),
+        n_n=len(e.auxiliary_forcing.entries),
+        n_i=len(e.invariants),
+        n_o=len(e.outputs.entries),
+        n_points=len(e.picture.points),
+        n_forces=len(e.forced),
+        n_breakpoints=len(e.breakpoints.entries),
+        rank=rank,
+        n_constants=n_constants,
     )
 
 
@@ -267,98 +216,33 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     >>> equations = form_equations(four_bar())
     >>> functions = lower_derivatives(lower("four_bar", equations), equations, form_derivatives(equations))
     >>> [f.name for f in functions][:2]
-    ['drawing', 'motion']
+    ['state_partials', 'parameter_partials']
     """
     e, d = equations, derivatives
-    time, inputs = _array("t", (e.time,)), _array("r", e.inputs)
-    state = _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))
-    residual = _residual(e)
-    held = _held(e)
-    known = {ONE, *program.constants.nodes}
-    sensitivities, columns = _sensitivities(e, d, known.__contains__, residual)
-    specifications: list[_Specification] = [
-        (
-            "drawing",
-            "Positions of the drawn points, and the inputs' forces on them.",
-            [time, state],
-            [inputs],
-            [e.points, e.forces],
-        ),
-        (
-            "motion",
-            "q'', and velocities and accelerations of the drawn points, with u' given.",
-            [time, state],
-            [inputs, _array("accelerations", e.accelerations)],
-            [d.coordinate_accelerations, d.point_velocities, d.point_accelerations],
-        ),
-        *sensitivities,
-        (
-            "default_input_partials",
-            "d/dp of the inputs' expressions; zero without one.",
-            [time],
-            [],
-            [d.default_input_jacobian],
-        ),
-        (
-            "constraint_partials",
-            "d/dq of the velocity constraints J u + b; d/dr of the position constraints and of J u + b.",
-            [time, state],
-            [inputs],
-            [d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian],
-        ),
-        (
-            "state_rate_partials",
-            "d/du' and d/dlambda of z'.",
-            [time, state],
-            [*held],
-            [d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian],
-        ),
-    ]
-    partials = (
-        ("output_state_partials", "d/dx of the outputs with u' and lambda held.", d.output_jacobian),
-        ("output_parameter_partials", "d/dp of the same.", d.output_parameter_jacobian),
-        ("output_input_partials", "d/dr of the same.", d.output_input_jacobian),
-    )
-    specifications += [(name, summary, [time, state], [*held], [result]) for name, summary, result in partials]
-    by_solution = [d.output_acceleration_jacobian, d.output_multiplier_jacobian]
-    specifications.append(
-        ("output_solution_partials", "d/du' and d/dlambda of the outputs.", [time, state], [*held], by_solution)
-    )
-    lowered = _lowered(e.tape, specifications, known.__contains__)
-    specifications += [specification for specification, _ in columns]
-    lowered += [statements for _, statements in columns]
-    return _functions(e.tape, specifications, lowered, program.constants)
-
-
-def _sensitivities(
-    e: Equations, d: Derivatives, is_constant: Callable[[int], bool], residual: str
-) -> tuple[list[_Specification], list[_Lowered]]:
-    """The functions for derivatives of q' and the residual; for products with directions, those are lowered."""
-    before, after = [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))], _held(e)
-    names = ("state_partials", "parameter_partials", "input_partials")
-    if not d.tangents:
-        summaries = (
-            f"d/dx of q', and of {residual} with u' and lambda held.",
-            "The same derivatives with respect to the parameters.",
-            "The same derivatives with respect to the inputs.",
+    drafts = _Drafts(e, {ONE, *program.constants.nodes}.__contains__)
+    roles = (Role.STATE_PARTIALS, Role.PARAMETER_PARTIALS, Role.INPUT_PARTIALS)
+    if d.tangents:
+        for role, tangent in zip(roles, d.tangents, strict=True):
+            direction = _array("direction", tangent.direction)
+            drafts.add_jvp(role, [tangent.coordinate_rates, tangent.residual], direction)
+    else:
+        pairs = (
+            (d.coordinate_rate_jacobian, d.residual_jacobian),
+            (d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian),
+            (d.coordinate_rate_input_jacobian, d.residual_input_jacobian),
         )
-        results = (
-            [d.coordinate_rate_jacobian, d.residual_jacobian],
-            [d.coordinate_rate_parameter_jacobian, d.residual_parameter_jacobian],
-            [d.coordinate_rate_input_jacobian, d.residual_input_jacobian],
-        )
-        pairs = zip(names, summaries, results, strict=True)
-        return [(name, summary, before, after, [r for r in of if r is not None]) for name, summary, of in pairs], []
-    specifications: list[_Specification] = []
-    columns: list[_Lowered] = []
-    for name, variables, tangent in zip(names, ("x", "p", "r"), d.tangents, strict=True):
-        summary = f"q', and {residual} with u' and lambda held, differentiated along a direction of {variables}."
-        function = (f"{name}_columns", summary, [tangent.coordinate_rates, tangent.residual])
-        product, nodes = _products(e.tape, is_constant, [function], _array("direction", tangent.direction))
-        columns += product
-        factors = Result("factors", (len(nodes),), tuple(Scalar(e.tape, 1, node) for node in nodes))
-        specifications.append((f"{name}_factors", f"What {name}_columns needs of a state.", before, after, [factors]))
-    return specifications, columns
+        for role, results in zip(roles, pairs, strict=True):
+            drafts.add(role, *(result for result in results if result is not None))
+    drafts.add(Role.DRAWING, e.points, e.forces)
+    drafts.add(Role.MOTION, d.coordinate_accelerations, d.point_velocities, d.point_accelerations)
+    drafts.add(Role.DEFAULT_INPUT_PARTIALS, d.default_input_jacobian)
+    drafts.add(Role.CONSTRAINT_PARTIALS, d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian)
+    drafts.add(Role.STATE_RATE_PARTIALS, d.state_rate_acceleration_jacobian, d.state_rate_multiplier_jacobian)
+    drafts.add(Role.OUTPUT_STATE_PARTIALS, d.output_jacobian)
+    drafts.add(Role.OUTPUT_PARAMETER_PARTIALS, d.output_parameter_jacobian)
+    drafts.add(Role.OUTPUT_INPUT_PARTIALS, d.output_input_jacobian)
+    drafts.add(Role.OUTPUT_SOLUTION_PARTIALS, d.output_acceleration_jacobian, d.output_multiplier_jacobian)
+    return drafts.functions(program.constants)
 
 
 def lower_variations(program: Program, equations: Equations, variations: Variations) -> tuple[Function, ...]:
@@ -374,106 +258,125 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
     >>> equations = form_equations(four_bar())
     >>> functions = lower_variations(lower("four_bar", equations), equations, form_variations(equations))
     >>> [f.name for f in functions][:2]
-    ['residual_vjp', 'constraint_vjp']
+    ['residual_jvp', 'constraint_jvp']
     """
-    e, v, residual = equations, variations.variation, _residual(equations)
-    before = [_array("t", (e.time,)), _array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states))]
-    inputs, held = _array("r", e.inputs), _held(e)
-    known = {ONE, *program.constants.nodes}
+    v = variations.variation
     pulled, closed = variations.pullback, variations.constraint_pullback
-    specifications: list[_Specification] = [
-        (
-            "residual_vjp",
-            f"The gradient by x, p and r of the weighted sum of q', and {residual} with u' and lambda held.",
-            before,
-            [*held, _array("weights", pulled.weights)],
-            [pulled.gradient],
-        ),
-        (
-            "constraint_vjp",
-            "The gradient by x, p and r of the weighted sum of the results of constraint_violation.",
-            before,
-            [inputs, _array("weights", closed.weights)],
-            [closed.gradient],
-        ),
-    ]
-    columns: list[_Lowered] = []
+    drafts = _Drafts(equations, {ONE, *program.constants.nodes}.__contains__)
     direction = _array("direction", v.direction)
-    for name, summary, after, results in (
-        (
-            "residual_jvp",
-            f"q', and {residual} with u' and lambda held, differentiated along a direction of x, p and r.",
-            held,
-            [v.coordinate_rates, v.residual],
-        ),
-        (
-            "constraint_jvp",
-            "The results of constraint_violation differentiated along a direction of x, p and r.",
-            (inputs,),
-            [v.positions, v.velocities],
-        ),
-    ):
-        product, nodes = _products(e.tape, known.__contains__, [(f"{name}_columns", summary, results)], direction)
-        columns += product
-        factors = Result("factors", (len(nodes),), tuple(Scalar(e.tape, 1, node) for node in nodes))
-        specifications.append((f"{name}_factors", f"What {name}_columns needs of a state.", before, after, [factors]))
-    lowered = _lowered(e.tape, specifications, known.__contains__)
-    specifications += [specification for specification, _ in columns]
-    lowered += [statements for _, statements in columns]
-    return _functions(e.tape, specifications, lowered, program.constants)
+    drafts.add_jvp(Role.RESIDUAL_JVP, [v.coordinate_rates, v.residual], direction)
+    drafts.add_jvp(Role.CONSTRAINT_JVP, [v.positions, v.velocities], direction)
+    drafts.add(Role.RESIDUAL_VJP, pulled.gradient, further=_array("weights", pulled.weights))
+    drafts.add(Role.CONSTRAINT_VJP, closed.gradient, further=_array("weights", closed.weights))
+    return drafts.functions(program.constants)
 
 
-def _residual(e: Equations) -> str:
-    """What the rows of the residual are."""
-    rows = ["f - M u' + J^T lambda", "-(J u' + gamma)"]
-    if e.auxiliary_forcing.entries:
-        rows = ["f + F - M u' + J^T lambda", "-(J u' + gamma)", "Q - M_a u' + J_a^T lambda"]
-    if e.auxiliary_states:
-        rows.append("z'")
-    return f"{', '.join(rows[:-1])} and {rows[-1]}"
+@dataclass(frozen=True)
+class _Draft:
+    """A function without the constants, which are not known before all functions are drafted."""
+
+    name: str
+    summary: str
+    before: tuple[Array, ...]
+    after: tuple[Array, ...]
+    statements: Statements
+    results: tuple[Result, ...]
+    written_out: tuple[Result, ...]
+    role: Role | None = None
+    is_vectorized: bool = False
+    factors: Result | None = None
 
 
-def _held(e: Equations) -> tuple[Array, ...]:
-    """The arguments after the constants if u' and the multipliers are given."""
-    return _array("r", e.inputs), _array("accelerations", e.accelerations), _array("multipliers", e.multipliers)
+class _Drafts:
+    """Drafts of the functions of a library.
 
+    Parameters
+    ----------
+    equations : Equations
+    is_constant : callable
+        Whether `prepare` computes a node.
+    """
 
-def _lowered(
-    tape: Tape, specifications: Sequence[_Specification], is_constant: Callable[[int], bool]
-) -> list[tuple[Statements, list[Scalar]]]:
-    """The statements and entries of functions."""
-    return [
-        eliminate_common_subexpressions(tape, add_angles(tape, entries, is_constant), is_constant)
-        for entries in ([entry for result in results for entry in result.entries] for *_, results in specifications)
-    ]
+    def __init__(self, equations: Equations, is_constant: Callable[[int], bool]) -> None:
+        self.equations, self._is_constant = equations, is_constant
+        self.drafts: list[_Draft] = []
 
+    def functions(self, constants: Array) -> tuple[Function, ...]:
+        """The functions, with the constants between their other arguments."""
+        written_out = _WrittenOut(self.equations.tape)
+        return tuple(self._function(draft, constants, written_out) for draft in self.drafts)
 
-def _functions(
-    tape: Tape,
-    specifications: Sequence[_Specification],
-    lowered: Sequence[tuple[Statements, list[Scalar]]],
-    constants: Array,
-) -> tuple[Function, ...]:
-    written_out = _WrittenOut(tape)
-    return tuple(
-        Function(
-            name,
-            summary,
-            (*before, constants, *after),
+    def _function(self, draft: _Draft, constants: Array, written_out: _WrittenOut) -> Function:
+        factors = None
+        if draft.role is not None and draft.factors is not None:
+            factors = self._function(self._of_state(draft.role, [draft.factors], ()), constants, written_out)
+        return Function(
+            name=draft.name,
+            summary=draft.summary,
+            arguments=(*draft.before, constants, *draft.after),
+            statements=draft.statements,
+            results=draft.results,
+            operations_before_sharing=written_out.operations(draft.written_out)
+            + (0 if factors is None else factors.operations_before_sharing),
+            role=draft.role,
+            is_vectorized=draft.is_vectorized,
+            factors=factors,
+        )
+
+    def add(self, role: Role, *results: Result, further: Array | None = None) -> None:
+        """Draft a function of a state, with a further vector if it takes one."""
+        draft = self._of_state(role, results, () if further is None else (further,))
+        is_vectorized = role in VECTORIZED and (role is not Role.STATE_RATES or any(r.entries for r in results))
+        self.drafts.append(replace(draft, role=role, is_vectorized=is_vectorized))
+
+    def add_jvp(self, role: Role, results: Sequence[Result], direction: Array) -> None:
+        """Draft products of derivatives with directions, and what they need of a state."""
+        [draft], nodes = self.products({role.name.lower(): (role.comment, results)}, direction)
+        factors = Result("factors", (len(nodes),), tuple(Scalar(self.equations.tape, 1, node) for node in nodes))
+        self.drafts.append(replace(draft, role=role, factors=factors))
+
+    def products(
+        self, functions: Mapping[str, tuple[str, Sequence[Result]]], vector: Array
+    ) -> tuple[list[_Draft], tuple[int, ...]]:
+        """Functions that are linear in a vector, by name, with summaries; and what they need of a state, `factors`."""
+        tape, within = self.equations.tape, {*vector.nodes}
+        given = _Nodes(tape, lambda node: node not in within)
+        lowered = [
+            eliminate_common_subexpressions(tape, [e for r in results for e in r.entries], given.contains)
+            for _, results in functions.values()
+        ]
+        nodes = tuple(node for node in given.used(lowered) if not self._is_constant(node))
+        factors = Array("factors", nodes, tuple(Leaf("f", f"factor{i}") for i in range(len(nodes))))
+        drafts = [
+            _Draft(name, summary, (), (factors, vector), statements, _shaped(results, entries), (*results,))
+            for (name, (summary, results)), (statements, entries) in zip(functions.items(), lowered, strict=True)
+        ]
+        return drafts, nodes
+
+    def _of_state(self, role: Role, results: Sequence[Result], further: tuple[Array, ...]) -> _Draft:
+        e, is_constant = self.equations, self._is_constant
+        entries = add_angles(e.tape, [entry for result in results for entry in result.entries], is_constant)
+        statements, entries = eliminate_common_subexpressions(e.tape, entries, is_constant)
+        before, after = [_array("t", (e.time,))], []
+        if role.needs & Needs.STATE:
+            before.append(_array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states)))
+        elif role.needs & Needs.COORDINATES:
+            before.append(_array("q", e.coordinates))
+        if len(before) > 1:
+            after.append(_array("r", e.inputs))
+        if role.needs & Needs.ACCELERATIONS:
+            after.append(_array("accelerations", e.accelerations))
+        if role.needs & Needs.MULTIPLIERS:
+            after.append(_array("multipliers", e.multipliers))
+        return _Draft(
+            role.name.lower(),
+            role.comment,
+            (*before,),
+            (*after, *further),
             statements,
             _shaped(results, entries),
-            written_out.operations(results),
-            role := ROLES.get(name.removesuffix(FACTORS).removesuffix(COLUMNS)),
-            _needs(role, (*before, *after)),
+            (*results,),
         )
-        for (name, summary, before, after, results), (statements, entries) in zip(specifications, lowered, strict=True)
-    )
-
-
-def _needs(role: Role | None, arguments: Sequence[Array]) -> int:
-    """What a function needs to know, by its role and its arguments besides the constants."""
-    inputs = 0 if role in KINEMATIC else Needs.INPUTS
-    return inputs | sum(HELD.get(array.name, 0) for array in arguments)
 
 
 def _rank(e: Equations) -> int:
@@ -588,47 +491,6 @@ def _is_regular(e: Equations, recursion: Recursion) -> bool:
     return all(abs(pivot) > REGULAR * abs(size) for pivot, size in pairs)
 
 
-def _recursive(
-    e: Equations, recursion: Recursion, is_constant: Callable[[int], bool]
-) -> tuple[list[_Lowered], Factors, Result]:
-    """The functions for products with M and its inverse; what they need of a state; and that as a result."""
-    products, nodes = _products(
-        e.tape,
-        is_constant,
-        (
-            ("mass_solve", "M^-1 times a vector, with factors of M.", [recursion.solution]),
-            ("mass_product", "M times a vector.", [recursion.product]),
-        ),
-        _array("side", recursion.side),
-    )
-    entries = (*recursion.pivots.entries, *(Scalar(e.tape, 1, node) for node in nodes))
-    return products, Factors(nodes), Result("mass_factors", (len(entries),), entries)
-
-
-_Lowered = tuple[_Specification, tuple[Statements, list[Scalar]]]
-
-
-def _products(
-    tape: Tape,
-    is_constant: Callable[[int], bool],
-    functions: Sequence[tuple[str, str, Sequence[Result]]],
-    vector: Array,
-) -> tuple[list[_Lowered], tuple[int, ...]]:
-    """Functions that are linear in a vector, with all factors that do not depend on it as an argument; these nodes."""
-    within = {*vector.nodes}
-    given = _Nodes(tape, lambda node: node not in within)
-    lowered = [
-        eliminate_common_subexpressions(tape, [e for result in results for e in result.entries], given.contains)
-        for *_, results in functions
-    ]
-    nodes = tuple(node for node in given.used(lowered) if not is_constant(node))
-    factors = Array("factors", nodes, tuple(Leaf("f", f"factor{i}") for i in range(len(nodes))))
-    specifications: list[_Specification] = [
-        (name, summary, [], [factors, vector], results) for name, summary, results in functions
-    ]
-    return [*zip(specifications, lowered, strict=True)], nodes
-
-
 class _Nodes:
     """Nodes that depend on certain leaves alone.
 
@@ -663,10 +525,9 @@ class _Nodes:
         return [*found]
 
 
-def _constants(
-    e: Equations, pool: _Nodes, lowered: Sequence[tuple[Statements, list[Scalar]]]
-) -> tuple[Array, Function]:
-    """The array of constants that the lowered functions use, and the function that fills it."""
+def _constants(e: Equations, pool: _Nodes, drafts: _Drafts) -> tuple[Array, Function]:
+    """The array of constants that the drafted functions use, and the function that fills it."""
+    lowered = [(draft.statements, [e for r in draft.results for e in r.entries]) for draft in drafts.drafts]
     nodes = tuple(dict.fromkeys([*(parameter.node for parameter in e.parameters), *pool.used(lowered)]))
     statements, entries = eliminate_common_subexpressions(
         e.tape, [Scalar(e.tape, 1, node) for node in nodes], lambda _: False
@@ -677,7 +538,8 @@ def _constants(
         (_array("p", e.parameters),),
         statements,
         (Result("constants", (len(nodes),), tuple(entries)),),
-        0,  # what it computes is counted where it is used
+        operations_before_sharing=0,  # what it computes is counted where it is used
+        is_vectorized=True,
     )
     n_p = len(e.parameters)
     leaves = (*(_leaf(parameter) for parameter in e.parameters), *[None] * (len(nodes) - n_p))

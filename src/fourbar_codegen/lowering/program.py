@@ -13,8 +13,6 @@ from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, 
 from fourbar_codegen.layout import Role
 
 __all__ = [
-    "COLUMNS",
-    "FACTORS",
     "Array",
     "Entries",
     "Factors",
@@ -28,9 +26,6 @@ __all__ = [
 
 Statements = tuple[tuple[int, Node], ...]
 """Nodes and what they are, in order of evaluation."""
-
-FACTORS, COLUMNS = "_factors", "_columns"
-"""Ends of names of functions: products of derivatives with directions, and what they need of a state."""
 
 Entries = tuple[tuple[int, int], ...]
 """Rows and columns of the entries of a matrix that are not zero."""
@@ -69,9 +64,11 @@ class Function:
     operations_before_sharing : int
         Number of operations if every result were written out in full, without common subexpressions.
     role : Role or None
-        That of an entry of the kernel's table; None for what other functions call.
-    needs : int
-        What it needs to know: `Needs` in any combination.
+        What it computes; None for what only other functions call.
+    is_vectorized : bool
+        Whether it is also evaluated for several states in the lanes of vectors.
+    factors : Function or None
+        Of products of derivatives with a direction: what they need of a state, which is their argument `factors`.
     """
 
     name: str
@@ -81,7 +78,8 @@ class Function:
     results: tuple[Result, ...]
     operations_before_sharing: int
     role: Role | None = None
-    needs: int = 0
+    is_vectorized: bool = False
+    factors: Function | None = None
 
     def __post_init__(self) -> None:
         known = [node for array in self.arguments for node in array.nodes]
@@ -105,8 +103,9 @@ class Function:
 
     @property
     def operations(self) -> int:
-        """Number of additions, multiplications, divisions and function calls."""
-        counted = sum(map(operations_of, (operation for _, operation in self.statements)))
+        """Number of additions, multiplications, divisions and function calls, for one direction."""
+        counted = 0 if self.factors is None else self.factors.operations
+        counted += sum(map(operations_of, (operation for _, operation in self.statements)))
         entries = [entry for result in self.results for entry in result.entries]
         return counted + sum(not entry.is_number and entry.coefficient != 1 for entry in entries)
 

@@ -49,19 +49,6 @@ TOGETHER = 4
 ZEROS = 32
 """Zeros in a result that are stored one by one."""
 
-SIDE_BY_SIDE = (
-    "prepare",
-    "default_inputs",
-    "dynamics",
-    "mass_solve",
-    "constraint_violation",
-    "constraint_scale",
-    "coordinate_change",
-    "invariant_correction",
-    "state_rates",
-)
-"""The functions that are also compiled for several states side by side; see fourbar_side_by_side.h."""
-
 SHORT = 600
 """Most operations of equations that are inlined into their callers. For states side by side, this gains 7 % for a chain
 of eight links (527), and 3 % for the bicycle (1301), which then takes 50 % longer to compile."""
@@ -158,18 +145,18 @@ class ScheduledFunction:
     parts : tuple of Part
     n_carried : int
         Number of values that parts pass on to later ones.
-    side_by_side : bool
-        Whether it is also compiled for several states side by side.
     inline_angles : bool
         Whether sines and cosines are those of fourbar_angle.h instead of the library's.
+    factors : ScheduledFunction or None
+        `Function.factors`.
     """
 
     function: Function
     lines: tuple[int, ...]
     parts: tuple[Part, ...]
     n_carried: int
-    side_by_side: bool
     inline_angles: bool
+    factors: ScheduledFunction | None
 
 
 @dataclass(frozen=True)
@@ -206,14 +193,14 @@ def schedule(program: Program) -> Schedule:
     (True, ['prepare', 'default_inputs', 'breakpoints'])
     """
     sizes, functions = program.sizes, program.functions
-    calls = (o for f in functions if f.name in SIDE_BY_SIDE for _, o in f.statements if isinstance(o, Call))
+    calls = (o for f in functions if f.is_vectorized for _, o in f.statements if isinstance(o, Call))
     few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
     can_solve = program.form == "sparse" or sizes.n_c <= MAX_CONSTRAINTS
     return Schedule(
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
         has_batches=few_arguments and can_solve and not (program.states_need_multipliers or sizes.n_n),
-        is_short=next(f for f in functions if f.name == "dynamics").operations <= SHORT,
+        is_short=next(f for f in functions if f.role is Role.DYNAMICS).operations <= SHORT,
     )
 
 
@@ -231,14 +218,13 @@ def schedule_function(function: Function, *, inline_angles: bool) -> ScheduledFu
         carried += [node for node in block.lines if node in later]
         later |= block.used
     places = {node: place for place, node in enumerate(carried)}
-    entries = [entry for result in function.results for entry in result.entries]
     return ScheduledFunction(
         function=function,
         lines=tuple(lines.lines),
         parts=tuple(_part(function, block, lines, places) for block in blocks),
         n_carried=len(carried),
-        side_by_side=function.name in SIDE_BY_SIDE and (function.role is not Role.STATE_RATES or bool(entries)),
         inline_angles=inline_angles,
+        factors=None if function.factors is None else schedule_function(function.factors, inline_angles=inline_angles),
     )
 
 

@@ -18,6 +18,7 @@ cdef extern from "fourbar_kernel.h":
     int FB_FORCES_UNDETERMINED
     int FB_FORCES_NOT_FOUND
     int FB_NEEDS_STATE
+    int FB_NEEDS_COORDINATES
     int FB_NEEDS_INPUTS
     int FB_NEEDS_ACCELERATIONS
     int FB_NEEDS_MULTIPLIERS
@@ -165,7 +166,6 @@ cdef class Evaluator:
     cdef int _check_columns(self, cnp.ndarray t, cnp.ndarray x, cnp.ndarray r) except -1
     cdef cnp.ndarray _output(self, object out, cnp.ndarray state, cnp.ndarray parameters, cnp.ndarray inputs)
     cdef const fb_function *function(self, int role) except NULL
-    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r)
-    cdef tuple _total(self, int role, int columns, bint of_multipliers, double t, x, p, r)
+    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r, cnp.ndarray multipliers=*)
     cdef cnp.ndarray _differentiate_outputs(self, int role, int outputs, int columns, double t, x, p, r)
     cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing)

@@ -372,7 +372,7 @@ cdef class Evaluator:
         cdef fb_at at
         cdef int i, status
         cdef list read = [], results = []
-        if x is not None:
+        if f.needs & (FB_NEEDS_STATE | FB_NEEDS_COORDINATES):
             inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_motions)
             state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
         if f.needs & FB_NEEDS_ACCELERATIONS:
@@ -390,7 +390,7 @@ cdef class Evaluator:
         at.t, at.n_directions = t, 0
         at.constants = self._prepare(parameters)
         at.x = NULL if state is None else data(state)
-        at.r = NULL if x is None else self._fill(t, at.constants, inputs)
+        at.r = NULL if state is None else self._fill(t, at.constants, inputs)
         at.accelerations = NULL if held is None else data(held)
         at.multipliers = NULL if forces is None else data(forces)
         status = f.call(&at, given, found, self.work)
@@ -774,7 +774,8 @@ cdef class Evaluator:
             self._inputs(t, self._parameters(p), r, self.has_inputs)
             self._state(t, x, self.n_x)
             return new_array(0, columns)
-        rates, of_multipliers = self._total(role, columns, True, t, x, p, r)
+        cdef cnp.ndarray of_multipliers = new_array(self.n_l, columns)
+        rates = self._differentiate(role, columns, t, x, p, r, of_multipliers)
         solution = self.accelerations(t, x, p, r)
         [result] = self.evaluate(outputs, t, x, p, r, *solution)
         by_accelerations, by_multipliers = self.evaluate(FB_OUTPUT_SOLUTION_PARTIALS, t, x, p, r, *solution)
@@ -934,24 +935,20 @@ cdef class Evaluator:
         by_state, by_p, by_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
         return by_state, by_p + by_inputs @ by_parameters, by_inputs
 
-    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r):
-        return self._total(role, columns, False, t, x, p, r)[0]
-
-    cdef tuple _total(self, int role, int columns, bint of_multipliers, double t, x, p, r):
-        """The derivatives of x', and of the multipliers if they are wanted, from the partial Jacobian of a role."""
+    cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r, cnp.ndarray multipliers=None):
+        """The derivatives of x' from the partial Jacobian of a role; those of the multipliers go to an array."""
         self.function(role)
         cdef cnp.ndarray parameters = self._parameters(p)
         cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_inputs)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef cnp.ndarray result = new_array(self.n_x, columns)
-        cdef cnp.ndarray multipliers = new_array(self.n_l if of_multipliers else 0, columns)
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.differentiate(
             self.functions, role, columns, t, data(state), constants, self._fill(t, constants, inputs),
-            data(result), data(multipliers) if of_multipliers else NULL, self.work)
+            data(result), NULL if multipliers is None else data(multipliers), self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
-        return result, multipliers
+        return result
 
     def _default_input_partials(self, t, p):
         return self.evaluate(FB_DEFAULT_INPUT_PARTIALS, t, None, p)[0]

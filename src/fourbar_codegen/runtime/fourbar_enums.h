@@ -3,6 +3,10 @@
 #define FOURBAR_ENUMS_H
 
 /* clang-format off */
+enum { FB_DIRECTIONS = 8 }; /* The most columns of directions of JVPs. */
+
+enum { FB_VECTOR = -1 }; /* The columns of a vector. */
+
 /* What functions of a kernel return, and, from 20 on, those of a C library; the comment is its message. */
 enum FB_STATUS {
     FB_OK = 0, /* success */
@@ -22,44 +26,45 @@ enum FB_STATUS {
 
 /* What a function of a kernel computes: its place in the table of functions. */
 enum FB_ROLE {
-    FB_BREAKPOINTS = 0, /* times at which expressions have a jump or a kink */
-    FB_DEFAULT_INPUTS = 1, /* the inputs' expressions */
-    FB_DYNAMICS = 2, /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0 */
-    FB_POSITION = 3, /* Phi(q, t) and dPhi/dq */
-    FB_VELOCITY = 4, /* J and b of J u + b = 0 */
-    FB_CONSTRAINT_VIOLATION = 5, /* w of J v = -w, then the invariants; J u + b */
-    FB_CONSTRAINT_SCALE = 6, /* sizes of Phi and of both results of CONSTRAINT_VIOLATION */
-    FB_INVARIANT_CORRECTION = 7, /* the change of q that corrects the invariants */
-    FB_COORDINATE_CHANGE = 8, /* K v of a change v of the speeds' integrals, for q' = K u + k */
-    FB_ENERGY = 9, /* kinetic and potential energy */
-    FB_OUTPUT = 10, /* the outputs */
-    FB_STATE_RATES = 11, /* z' */
-    FB_UNKNOWN_FORCES = 12, /* F(n), dF/dn; Q(n), dQ/dn, M_a and J_a^T of Q - M_a u' + J_a^T lambda = 0 */
-    FB_DRAWING = 13, /* positions of drawn points, and the inputs' forces on them */
-    FB_MOTION = 14, /* q''; velocities and accelerations of drawn points */
-    FB_STATE_PARTIALS = 15, /* d/dx of q', and of (f - M u' + J^T lambda, -(J u' + gamma), z') */
-    FB_PARAMETER_PARTIALS = 16, /* d/dp of the same */
-    FB_INPUT_PARTIALS = 17, /* d/dr of the same */
-    FB_DEFAULT_INPUT_PARTIALS = 18, /* d/dp of the inputs' expressions */
-    FB_CONSTRAINT_PARTIALS = 19, /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr */
-    FB_STATE_RATE_PARTIALS = 20, /* dz'/du' and dz'/dlambda */
-    FB_OUTPUT_STATE_PARTIALS = 21, /* d/dx of the outputs */
-    FB_OUTPUT_PARAMETER_PARTIALS = 22, /* d/dp of the outputs */
-    FB_OUTPUT_INPUT_PARTIALS = 23, /* d/dr of the outputs */
-    FB_OUTPUT_SOLUTION_PARTIALS = 24, /* d/du' and d/dlambda of the outputs */
-    FB_RESIDUAL_JVP = 25, /* the products of the first three with directions of (x, p, r) */
-    FB_CONSTRAINT_JVP = 26, /* those of the derivatives of CONSTRAINT_VIOLATION */
-    FB_RESIDUAL_VJP = 27, /* the gradient with respect to (x, p, r) of weights times q' and the residual */
-    FB_CONSTRAINT_VJP = 28, /* that of weights times the results of CONSTRAINT_VIOLATION */
+    FB_BREAKPOINTS = 0, /* Times at which expressions have a jump or a kink. */
+    FB_DEFAULT_INPUTS = 1, /* The inputs' expressions; NaN for inputs without one. */
+    FB_DYNAMICS = 2, /* q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0. */
+    FB_POSITION = 3, /* Holonomic constraints Phi(q, t) and dPhi/dq. */
+    FB_VELOCITY = 4, /* J and b of the velocity constraints J u + b = 0. */
+    FB_CONSTRAINT_VIOLATION = 5, /* w of J v = -w, which corrects Phi, then the invariants; J u + b. */
+    FB_CONSTRAINT_SCALE = 6, /* Rounding errors, over the precision of double, of Phi and of both results of constraint_violation. */
+    FB_INVARIANT_CORRECTION = 7, /* The change of q that corrects the invariants. */
+    FB_COORDINATE_CHANGE = 8, /* K v, the change of q for a change v of the speeds' integrals, for q' = K u + k. */
+    FB_ENERGY = 9, /* Kinetic and potential energy. */
+    FB_OUTPUT = 10, /* The outputs. */
+    FB_STATE_RATES = 11, /* z'. */
+    FB_UNKNOWN_FORCES = 12, /* F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0. */
+    FB_DRAWING = 13, /* Positions of drawn points, and the inputs' forces on them. */
+    FB_MOTION = 14, /* q''; velocities and accelerations of drawn points. */
+    FB_STATE_PARTIALS = 15, /* d/dx of q' and of the residual, with u' and lambda held. */
+    FB_PARAMETER_PARTIALS = 16, /* d/dp of q' and of the residual, with u' and lambda held. */
+    FB_INPUT_PARTIALS = 17, /* d/dr of q' and of the residual, with u' and lambda held. */
+    FB_DEFAULT_INPUT_PARTIALS = 18, /* d/dp of the inputs' expressions; zero without one. */
+    FB_CONSTRAINT_PARTIALS = 19, /* d(J u + b)/dq, dPhi/dr and d(J u + b)/dr. */
+    FB_STATE_RATE_PARTIALS = 20, /* dz'/du' and dz'/dlambda. */
+    FB_OUTPUT_STATE_PARTIALS = 21, /* d/dx of the outputs, with u' and lambda held. */
+    FB_OUTPUT_PARAMETER_PARTIALS = 22, /* d/dp of the outputs, with u' and lambda held. */
+    FB_OUTPUT_INPUT_PARTIALS = 23, /* d/dr of the outputs, with u' and lambda held. */
+    FB_OUTPUT_SOLUTION_PARTIALS = 24, /* d/du' and d/dlambda of the outputs. */
+    FB_RESIDUAL_JVP = 25, /* The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held. */
+    FB_CONSTRAINT_JVP = 26, /* The JVP of constraint_violation along directions of (x, p, r). */
+    FB_RESIDUAL_VJP = 27, /* The gradient with respect to (x, p, r) of weights times q' and the residual. */
+    FB_CONSTRAINT_VJP = 28, /* The gradient with respect to (x, p, r) of weights times constraint_violation. */
     FB_N_ROLES = 29
 };
 
-/* What a function of a kernel needs to know, besides time, state and parameters. */
+/* What a function of a kernel takes, besides time and parameters. */
 enum FB_NEEDS {
-    FB_NEEDS_STATE = 8, /* all of x, not only q */
-    FB_NEEDS_INPUTS = 1, /* all inputs, not only those that prescribe motions */
-    FB_NEEDS_ACCELERATIONS = 2, /* u' */
-    FB_NEEDS_MULTIPLIERS = 4, /* lambda, and unknown forces behind it */
+    FB_NEEDS_COORDINATES = 1, /* q, the first entries of x. */
+    FB_NEEDS_STATE = 2, /* All of x. */
+    FB_NEEDS_INPUTS = 4, /* All inputs, not only those that prescribe motions. */
+    FB_NEEDS_ACCELERATIONS = 8, /* u'. */
+    FB_NEEDS_MULTIPLIERS = 16, /* lambda, and unknown forces that drive the motion behind it. */
 };
 
 static inline const char *fb_message(const int status)

@@ -25,9 +25,6 @@
 #define FB_PART
 #endif
 
-/* The most directions that variations take at once: the columns of their arguments and results, stored row by row. */
-enum { FB_DIRECTIONS = 8 };
-
 /* The instruction set that a kernel was compiled for, beyond the baseline of its architecture. */
 enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
 
@@ -35,7 +32,11 @@ enum FB_INSTRUCTION_SET { FB_BASELINE = 0, FB_AVX2 = 1, FB_AVX512 = 2 };
 typedef int fb_evaluation(double t, const double *x, const double *constants, const double *r, double *result,
                           void *work);
 
-/* Where a function of the table is evaluated. A pointer that it does not need may be NULL. */
+/* Where a function of the table is evaluated. A pointer that it does not need may be NULL.
+ *
+ * The residual, of which some are derivatives, is (f - M u' + J^T lambda, -(J u' + gamma), z'). If unknown forces n
+ * drive the motion (fourbar_forces.h), they follow lambda in all arrays of multipliers; their effect is added to f, and
+ * the rows Q - M_a u' + J_a^T lambda of the auxiliary speeds follow those of J. */
 typedef struct fb_at {
     double t;
     const double *x, *constants, *r;
@@ -44,7 +45,6 @@ typedef struct fb_at {
 } fb_at;
 
 /* The name and the shape of an argument or a result; a vector has FB_VECTOR columns. */
-enum { FB_VECTOR = -1 };
 typedef struct fb_array {
     const char *name;
     int rows, columns;

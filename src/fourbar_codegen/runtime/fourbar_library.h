@@ -297,7 +297,7 @@ static int jumps_at(const fb_problem *problem, const double t)
 static int jumps_between(const fb_problem *problem, const double begin, const double end)
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
-    breakpoints(problem->constants, times);
+    breakpoints(0.0, problem->constants, times);
     for (int i = 0; i < N_JUMPS; ++i)
         if (times[i] >= fb_min(begin, end) && times[i] <= fb_max(begin, end) && times[i] != begin &&
             jumps_at(problem, times[i]))
@@ -309,7 +309,7 @@ static int jumps_between(const fb_problem *problem, const double begin, const do
 static double next_breakpoint(const fb_problem *problem, const double begin, const double end)
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)], next = end;
-    breakpoints(problem->constants, times);
+    breakpoints(0.0, problem->constants, times);
     for (int i = 0; i < N_BREAKPOINTS; ++i)
         if (times[i] > fb_min(begin, next) && times[i] < fb_max(begin, next))
             next = times[i];
@@ -332,7 +332,7 @@ int FB_PUBLIC(jumps)(struct FB_MODEL *model)
     const fb_problem *const problem = problem_of(model);
     const double spacing = 4.0 * (nextafter(fabs(model->t), INFINITY) - fabs(model->t));
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
-    breakpoints(problem->constants, times);
+    breakpoints(0.0, problem->constants, times);
     for (int i = 0; i < N_JUMPS; ++i)
         if (fabs(times[i] - model->t) <= spacing && jumps_at(problem, times[i]))
             return 1;

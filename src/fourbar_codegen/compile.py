@@ -96,7 +96,7 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
     # Imported here, since a model in the cache does not need it.
     from fourbar_codegen.codegen.c_source import batch_text, header_text, kernel_text
     from fourbar_codegen.codegen.manifest import manifest_of
-    from fourbar_codegen.dynamics.equations import form_equations
+    from fourbar_codegen.dynamics.formation import form_equations
     from fourbar_codegen.lowering.lower import lower
     from fourbar_codegen.lowering.schedule import schedule
 

@@ -214,20 +214,21 @@ def _check_initial_speeds(generated: Generated) -> None:
     from fourbar_codegen.dynamics.random_states import close
 
     e, initial, names = generated.equations, generated.manifest["initial"], generated.manifest["speeds"]
-    n_qi = len(e.coordinates) - generated.manifest["n_dependent_coordinates"]
-    n_ui = len(e.speeds) - e.n_dependent_speeds
+    v = e.variables
+    n_qi = len(v.coordinates) - generated.manifest["n_dependent_coordinates"]
+    n_ui = len(v.speeds) - e.velocities.n_dependent_speeds
     dependent = [name for name in names[n_ui:] if name in initial]
     if not dependent:
         return
-    start = zip((*e.coordinates, *e.speeds), (*generated.manifest["coordinates"], *names), strict=True)
-    point = {e.time: 0.0} | {leaf: initial.get(name, 0.0) for leaf, name in start}
+    start = zip((*v.coordinates, *v.speeds), (*generated.manifest["coordinates"], *names), strict=True)
+    point = {v.time: 0.0} | {leaf: initial.get(name, 0.0) for leaf, name in start}
     defaults = (entry["default"] for entry in generated.manifest["parameters"])
-    point |= zip(e.parameters, defaults, strict=True)
-    point |= zip(e.inputs, e.tape.evaluate(e.default_inputs.entries, point), strict=True)
-    if close(e.tape, e.position_constraints.entries, e.coordinates[n_qi:], point):
-        bias = np.array(e.tape.evaluate(e.velocity_bias.entries, point))
-        jacobian = np.reshape(e.tape.evaluate(e.constraint_jacobian.entries, point), e.constraint_jacobian.shape)
-        check_speeds(jacobian, bias, names, np.array([point[leaf] for leaf in e.speeds]), n_ui, dependent)
+    point |= zip(v.parameters, defaults, strict=True)
+    point |= zip(v.inputs, e.tape.evaluate(e.inputs.default.entries, point), strict=True)
+    if close(e.tape, e.positions.constraints.entries, v.coordinates[n_qi:], point):
+        bias = np.array(e.tape.evaluate(e.velocities.bias.entries, point))
+        jacobian = np.reshape(e.tape.evaluate(e.velocities.jacobian.entries, point), e.velocities.jacobian.shape)
+        check_speeds(jacobian, bias, names, np.array([point[leaf] for leaf in v.speeds]), n_ui, dependent)
 
 
 def _version() -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.loop_closure import nearest_closed
 from fourbar_codegen.dynamics.derivatives import Derivatives
-from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.dynamics.equations import Equations, results_of
 from fourbar_codegen.dynamics.random_states import close
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.expressions.tape import Result, Scalar
@@ -76,7 +76,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
     Examples
     --------
     >>> import fourbar_codegen as fb
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> verify(fb.load("four_bar"), form_equations(fb.models.four_bar()))
     2
     """
@@ -86,7 +86,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
         values = _random_values(equations, compiled, generator, near)
         for tangent in () if derivatives is None else derivatives.tangents:
             values.update((leaf, generator.uniform(-1.0, 1.0)) for leaf in tangent.direction)
-        if not close(equations.tape, equations.not_orthonormal, equations.coordinates, values):
+        if not close(equations.tape, equations.positions.not_orthonormal, equations.variables.coordinates, values):
             continue
         expected = _evaluate(equations, formed.values(), values)
         for function, name, got in _compiled_results(equations, derivatives, compiled, values):
@@ -106,29 +106,22 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
 def _random_values(
     e: Equations, compiled: Kernel, generator: random.Random, near: float | None = None
 ) -> dict[Scalar, float]:
-    values = {
-        leaf: generator.uniform(-1.0, 1.0)
-        for leaf in (e.time, *_states(e), *e.inputs, *e.accelerations, *e.multipliers)
-    }
+    v = e.variables
+    leaves = (v.time, *v.state, *v.inputs, *v.accelerations, *v.multipliers)
+    values = {leaf: generator.uniform(-1.0, 1.0) for leaf in leaves}
     if near is not None:
         initial = compiled.manifest["initial"]
-        for leaf, name in zip(_states(e), compiled.states, strict=True):
+        for leaf, name in zip(v.state, compiled.states, strict=True):
             values[leaf] = near * values[leaf] + initial.get(name, 0.0)
-    for leaf, default in zip(e.parameters, compiled.defaults.values(), strict=True):
+    for leaf, default in zip(v.parameters, compiled.defaults.values(), strict=True):
         values[leaf] = generator.uniform(0.5, 1.5) if default is None else default
     return values
 
 
-def _states(e: Equations) -> tuple[Scalar, ...]:
-    return (*e.coordinates, *e.speeds, *e.auxiliary_states)
-
-
 def _formed(e: Equations, d: Derivatives | None) -> dict[str, Result]:
     """All results of the equations by name, also of products with directions."""
-    formed = [*vars(e).values(), *(() if d is None else vars(d).values())]
-    for tangent in () if d is None else d.tangents:
-        formed += [tangent.coordinate_rates, tangent.residual]
-    return {result.name: result for result in formed if isinstance(result, Result)}
+    parts = () if d is None else (d, *d.tangents)
+    return {result.name: result for result in (*e.results, *results_of(*parts))}
 
 
 def _evaluate(e: Equations, formed: Iterable[Result], values: Mapping[Scalar, float]) -> dict[str, Floats]:
@@ -138,7 +131,8 @@ def _evaluate(e: Equations, formed: Iterable[Result], values: Mapping[Scalar, fl
 
 
 def _arrays(e: Equations, values: Mapping[Scalar, float]) -> list[Floats]:
-    groups = (_states(e), e.parameters, e.inputs, e.accelerations, e.multipliers)
+    v = e.variables
+    groups = (v.state, v.parameters, v.inputs, v.accelerations, v.multipliers)
     return [np.array([values[leaf] for leaf in group]) for group in groups]
 
 
@@ -146,7 +140,7 @@ def _compiled_results(
     e: Equations, d: Derivatives | None, compiled: Kernel, values: Mapping[Scalar, float]
 ) -> Iterator[tuple[str, str, Floats]]:
     """Function, name and value of every result of the kernel's table, as far as there are equations for it."""
-    t = values[e.time]
+    t = values[e.variables.time]
     x, p, r, accelerations, multipliers = _arrays(e, values)
     further = {Role.COORDINATE_CHANGE: (accelerations,), Role.UNKNOWN_FORCES: (multipliers[compiled.n_c :],)}
     tangents = {} if d is None else dict(zip(PARTIALS, d.tangents, strict=False))
@@ -179,12 +173,12 @@ def _compare_solution(
     """M u' = f + J^T lambda and J u' + gamma = 0 for the results of the compiled solve."""
     x, p, r, *_ = _arrays(e, values)
     try:
-        accelerations, unknowns = compiled.accelerations(values[e.time], x, p, r)
+        accelerations, unknowns = compiled.accelerations(values[e.variables.time], x, p, r)
     except SimulationError:
         return  # a singular state
     jacobian = expected["constraint_jacobian"]
     multipliers, forces = np.split(unknowns, [compiled.n_c])
-    effect, _, rest, _, mass, reaction = compiled.unknown_forces(values[e.time], x, forces, p, r)
+    effect, _, rest, _, mass, reaction = compiled.unknown_forces(values[e.variables.time], x, forces, p, r)
     reactions = jacobian.T @ multipliers
     inertia = expected["mass_matrix"] @ accelerations
     sizes = [np.abs(matrix) @ np.abs(accelerations) for matrix in (expected["mass_matrix"], mass, jacobian)]
@@ -200,7 +194,7 @@ def _check_identities(
     compiled: Kernel, expected: Mapping[str, Floats], values: Mapping[Scalar, float], e: Equations
 ) -> None:
     """Energy and constraints, whose rates are differences between neighbouring states."""
-    t = values[e.time]
+    t = values[e.variables.time]
     x, p, r, accelerations, _ = _arrays(e, values)
     q_rates, mass_matrix, forcing = (expected[name] for name in ("coordinate_rates", "mass_matrix", "forcing"))
     jacobian, bias = expected["constraint_jacobian"], expected["velocity_bias"]
@@ -229,14 +223,14 @@ def _check_identities(
 
     terms = 0.0  # of sums that may be far smaller than their terms
     checks: list[tuple[str, Callable[[float, Floats, Floats, Floats], Floats], Floats]] = []
-    if e.velocity_constraints_derived:
-        places = [place for place, row in enumerate(e.position_rows) if row is not None]
+    if e.velocities.are_derived:
+        places = [place for place, row in enumerate(e.positions.rows) if row is not None]
         rates = (jacobian @ u + bias)[: len(places)]
         checks.append(("dPhi/dt = J u + b", lambda t, x, p, r: compiled.position(t, x[:n_q], p, r)[0][places], rates))
     if compiled.n_c:
         rates = jacobian @ accelerations + expected["acceleration_bias"]
         checks.append(("d(J u + b)/dt = J u' + gamma", lambda t, x, p, r: _velocities(compiled, t, x, p, r), rates))
-    if rest == 0.0 and not e.power.entries[0].is_nan:
+    if rest == 0.0 and not e.energy.power.entries[0].is_nan:
         # All motion is by the speeds: the power of the loads, and of the forces that are missing for this u', is the
         # rate of the kinetic energy.
         gain = expected["power"] + u @ (mass_matrix @ accelerations - forcing)
@@ -262,7 +256,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
     ranks = []
     for _ in range(CLOSURES):
         values = _random_values(e, compiled, generator)
-        t, (x, p, r, *_) = values[e.time], _arrays(e, values)
+        t, (x, p, r, *_) = values[e.variables.time], _arrays(e, values)
         begin = x[: compiled.n_q] + [initial.get(name, 0.0) for name in compiled.coordinates]
         closed = nearest_closed(compiled, t, begin, p, r)
         if closed is None:

@@ -17,7 +17,7 @@ from harness.programs import require
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_expressions import Text
-from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.tape import Result, Tape
 from fourbar_codegen.lowering.cse import eliminate_common_subexpressions

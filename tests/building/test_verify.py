@@ -15,7 +15,7 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 import fourbar_codegen.codegen.c_source
-import fourbar_codegen.dynamics.equations
+import fourbar_codegen.dynamics.formation
 from fourbar_codegen.cli import main
 
 pytestmark = pytest.mark.usefixtures("unoptimized")
@@ -134,7 +134,7 @@ def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_
 def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entry, identity):
     # What is compiled is what was formed; what was formed is wrong.
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    original = fourbar_codegen.dynamics.equations.form_equations
+    original = fourbar_codegen.dynamics.formation.form_equations
 
     def damaged(model):
         equations = original(model)
@@ -143,7 +143,7 @@ def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entr
         entries[entry] = entries[entry] * 2 + equations.tape.one
         return dataclasses.replace(equations, **{result: dataclasses.replace(right, entries=tuple(entries))})
 
-    monkeypatch.setattr(fourbar_codegen.dynamics.equations, "form_equations", damaged)
+    monkeypatch.setattr(fourbar_codegen.dynamics.formation, "form_equations", damaged)
     with pytest.raises(fb.BuildError, match=re.escape(f"do not satisfy {identity}")):
         fb.compile_model(fb.models.four_bar())
 

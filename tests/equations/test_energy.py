@@ -7,7 +7,7 @@ import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.expressions.antiderivatives import antiderivative
 from fourbar_codegen.expressions.convert import Conversion
 from fourbar_codegen.expressions.tape import Tape
@@ -72,9 +72,9 @@ def test_power_with_an_absolute_rate_of_a_relative_angle_equals_the_closed_form(
     system.add_kdes(u1 - q1.diff(), u2 - q1.diff() - q2.diff())
     system.add_loads(me.Torque(b, torque * n.z))
     equations = form_equations(fb.Model(system, name="absolute"))
-    leaves = (*equations.coordinates, *equations.speeds, *equations.parameters)
+    leaves = (*equations.variables.coordinates, *equations.variables.speeds, *equations.variables.parameters)
     at = dict(zip(leaves, (0.3, -0.5, 2.0, 0.7, 11.0), strict=True))
-    assert equations.tape.evaluate(equations.power.entries, at) == pytest.approx([11.0 * 0.7], rel=1e-15)
+    assert equations.tape.evaluate(equations.energy.power.entries, at) == pytest.approx([11.0 * 0.7], rel=1e-15)
 
 
 def test_energy_growth_is_reported_for_negative_damping_and_not_for_forces():
@@ -167,10 +167,10 @@ def potential(x, y, z, turn):
 def energies(model, states):
     """The potential energy, evaluated without C."""
     equations = form_equations(model)
-    values = {leaf: VALUES[name] for leaf, name in zip(equations.parameters, model.parameters, strict=True)}
-    leaves = (*equations.coordinates, *equations.speeds)
+    values = {leaf: VALUES[name] for leaf, name in zip(equations.variables.parameters, model.parameters, strict=True)}
+    leaves = (*equations.variables.coordinates, *equations.variables.speeds)
     points = ({**values, **dict(zip(leaves, x, strict=True))} for x in states)
-    return np.array([equations.tape.evaluate([equations.energies.entries[1]], point)[0] for point in points])
+    return np.array([equations.tape.evaluate([equations.energy.energies.entries[1]], point)[0] for point in points])
 
 
 def test_potential_energy_of_springs_equals_the_closed_form_and_is_conserved():
@@ -330,7 +330,7 @@ def test_spring_whose_integral_is_not_found_is_named_with_any_speeds(relative):
         bodies=[me.Particle("p", elbow, sm.S(1)), me.Particle("q", tip, sm.S(1))],
         forcelist=me.LinearSpring(20, me.LinearPathway(tip, hook), 0.4).to_loads(),
     )
-    assert form_equations(fb.Model(method)).energy_without == ("force at point Q",)
+    assert form_equations(fb.Model(method)).energy.without == ("force at point Q",)
 
 
 def test_load_with_fewer_speeds_than_coordinates_is_named_unless_constant():
@@ -352,7 +352,7 @@ def test_load_with_fewer_speeds_than_coordinates_is_named_unless_constant():
         system.add_speeds(v, spin)
         system.add_kdes(x.diff() - v * sm.cos(turn), y.diff() - v * sm.sin(turn), turn.diff() - spin)
         system.add_loads(me.Force(skate, force))
-        assert form_equations(fb.Model(system)).energy_without == (("force at point C",) if named else ())
+        assert form_equations(fb.Model(system)).energy.without == (("force at point C",) if named else ())
 
 
 def pulled(own, *forces):

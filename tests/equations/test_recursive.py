@@ -14,7 +14,7 @@ from sympy.physics.mechanics.system import System
 from trees import revolute_chain
 
 import fourbar_codegen as fb
-from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.lowering.lower import lower
 
 STATES = 100

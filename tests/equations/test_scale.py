@@ -17,7 +17,7 @@ from sympy.physics.mechanics.system import System
 from tutorial import Tutorial
 
 import fourbar_codegen as fb
-from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.lowering.lower import lower
 
 G = 9.81

@@ -10,7 +10,7 @@ from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.dynamics.equations import form_equations
+from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.simulation.singularity import Singular
 
 T = me.dynamicsymbols._t
@@ -86,7 +86,8 @@ def test_rounding_error_of_a_negative_velocity_constraint_is_positive():
     """That of x^2 + y^2 - 1, by which its violation is measured: 2 x^2 + 2 y^2 + 1, up to 1e-12 for each leaf."""
     equations = form_equations(pendulum(STATED["negative"]))
     [scale] = equations.tape.evaluate(
-        equations.position_violation_scale.entries, dict(zip(equations.coordinates, (0.6, -0.9), strict=True))
+        equations.positions.violation_scale.entries,
+        dict(zip(equations.variables.coordinates, (0.6, -0.9), strict=True)),
     )
     assert scale == pytest.approx(2 * 0.6**2 + 2 * 0.9**2 + 1, abs=1e-11)
 

@@ -62,7 +62,7 @@ DOORS = {
     ("analysis.assembly_modes", "presentation.figures"),
     ("results.kinematics", "presentation.figures"),
     ("results.kinematics", "presentation.storage"),
-    ("modeling.model", "dynamics.equations"),
+    ("modeling.model", "dynamics.formation"),
     ("modeling.model", "dynamics.unknown_forces"),
 }
 """What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like; and

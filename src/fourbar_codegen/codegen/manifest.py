@@ -47,7 +47,7 @@ def manifest_of(
     functions = {function.name: function.results for function in program.functions}
     energies = functions["energy"][0].entries
     violation = functions["constraint_violation"][0].entries[: program.sizes.n_c]
-    picture = equations.picture
+    picture = equations.drawing.picture
     return {
         "format": MANIFEST_FORMAT,
         "name": model.name,
@@ -73,12 +73,12 @@ def manifest_of(
             for entry in model.input_entries
             if entry.name in names["inputs"]
         ],
-        "moving_inputs": list(equations.moving),
+        "moving_inputs": list(equations.inputs.prescribed),
         "n_breakpoints": program.sizes.n_breakpoints,
-        "n_jumps": equations.n_jumps,
+        "n_jumps": equations.inputs.n_jumps,
         "outputs": list(names["outputs"]),
         "open_outputs": _open_outputs(equations, program, names["outputs"]),
-        "position_constraints": equations.position_formulas,
+        "position_constraints": equations.positions.formulas,
         "points": [
             {"name": name, "body": point.body}
             for name, point in zip(_distinct([point.name for point in picture.points]), picture.points, strict=True)
@@ -87,16 +87,16 @@ def manifest_of(
         "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
         "not_drawn": list(picture.not_drawn),
         "gravity": gravity(model.mechanism.loads, model.mechanism.bodies, _values(model), model.mechanism.time),
-        "forced_points": list(equations.forced),
+        "forced_points": list(equations.drawing.forced),
         "initial": model.initial,
-        "invariants": list(equations.invariants),
+        "invariants": list(equations.positions.invariants),
         "position_rows": list(program.position_rows),
         "states_velocity_constraints": model.mechanism.states_velocity_constraints,
         "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
         "warnings": list(equations.warnings),
         "compared": None,  # known only after compilation
         "has_potential_energy": not energies[1].is_nan,
-        "energy_without": list(equations.energy_without),
+        "energy_without": list(equations.energy.without),
         "form": program.form,
         "jumps": _jumps(model, equations, names),
         "dependencies": _dependencies(equations),
@@ -108,7 +108,7 @@ def manifest_of(
 def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
     """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
     values = {}
-    for leaf, name in zip(equations.parameters, names["parameters"], strict=True):
+    for leaf, name in zip(equations.variables.parameters, names["parameters"], strict=True):
         value = model.parameters[name].value
         if value is not None:
             values[leaf] = value
@@ -118,15 +118,15 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
 
 def _dependencies(equations: Equations) -> dict[str, list[str]]:
     """For each row, what it depends on: a hexadecimal number with bits for x, p, r, u', the multipliers and t."""
-    e, tape = equations, equations.tape
-    leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.parameters, *e.inputs, *e.accelerations)
-    masks = {leaf.node: 1 << place for place, leaf in enumerate((*leaves, *e.multipliers, e.time))}
+    e, tape, v = equations, equations.tape, equations.variables
+    leaves = (*v.state, *v.parameters, *v.inputs, *v.accelerations, *v.multipliers, v.time)
+    masks = {leaf.node: 1 << place for place, leaf in enumerate(leaves)}
     rows = {
-        "coordinate_rates": e.coordinate_rates.entries,
-        "residual": e.residual.entries,
-        "position_violation": e.position_violation.entries,
-        "velocity_violation": e.velocity_violation.entries,
-        "default_inputs": e.default_inputs.entries,
+        "coordinate_rates": e.dynamics.coordinate_rates.entries,
+        "residual": e.dynamics.residual.entries,
+        "position_violation": e.positions.violation.entries,
+        "velocity_violation": e.velocities.violation.entries,
+        "default_inputs": e.inputs.default.entries,
     }
     tape.spread(tape.reach(entry for entries in rows.values() for entry in entries), masks)
     return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
@@ -144,9 +144,10 @@ def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
     """
     e, tape = equations, equations.tape
     inputs = _base_names(model, names["inputs"])
-    named = list(zip((*names["parameters"], *inputs), (*e.parameters, *e.inputs), strict=True))
-    results = (e.coordinate_rates, e.residual, e.position_violation, e.velocity_violation, e.default_inputs)
-    entries = [entry for result in results for entry in result.entries]
+    named = list(zip((*names["parameters"], *inputs), (*e.variables.parameters, *e.variables.inputs), strict=True))
+    constraints = (*e.positions.violation.entries, *e.velocities.violation.entries)
+    entries = [*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries, *constraints]
+    entries += e.inputs.default.entries
     nodes = tape.reach(entries)
     everything = {leaf.node: 1 << place for place, (_, leaf) in enumerate(named)}  # what a node depends on
     tape.spread(nodes, everything)
@@ -168,10 +169,10 @@ def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
         found = reduce(or_, (masks.get(entry.node, 0) for entry in entries), 0)
         return list(dict.fromkeys(name for place, (name, _) in enumerate(named) if found >> place & 1))
 
-    pairs = list(zip(inputs, e.inputs, e.default_inputs.entries, strict=True))
-    driven = [leaf for _, leaf, default in pairs if tape.depends([default], [e.time])]
+    pairs = list(zip(inputs, e.variables.inputs, e.inputs.default.entries, strict=True))
+    driven = [leaf for _, leaf, default in pairs if tape.depends([default], [e.variables.time])]
     by_input = {name: beside([leaf for other, leaf, _ in pairs if other == name]) for name in dict.fromkeys(inputs)}
-    return {"timed": beside([e.time, *driven]), "timed_by": by_input}
+    return {"timed": beside([e.variables.time, *driven]), "timed_by": by_input}
 
 
 def _values(model: Model) -> dict[sm.Basic, Any]:
@@ -193,7 +194,7 @@ def _angles(model: Model, equations: Equations, names: Sequence[str]) -> list[st
     for node in list(arguments):
         if isinstance(operation := tape.nodes[node], Sum):
             arguments.update(term for term, _ in operation.terms)
-    leaves = zip(names, model.mechanism.coordinates, equations.coordinates, strict=True)
+    leaves = zip(names, model.mechanism.coordinates, equations.variables.coordinates, strict=True)
     taken = {coordinate: name for name, coordinate, q in leaves if q.node in arguments}
     turning = _turning(model.mechanism)  # also if it rolls, as a wheel does
     return [name for each, name in taken.items() if each in turning or not _moves_on(model.mechanism, each)]
@@ -232,9 +233,10 @@ def _turning(mechanism: Mechanism) -> set[sm.Expr]:
 def _geometry(equations: Equations, names: Sequence[str]) -> list[str]:
     """The parameters that positions, velocity constraints and coordinates' rates depend on: lengths, not masses."""
     e = equations
-    results = (e.position_constraints, e.velocity_violation, e.coordinate_rates, e.points, e.default_inputs)
+    constraints = (e.positions.constraints, e.velocities.violation)
+    results = (*constraints, e.dynamics.coordinate_rates, e.drawing.points, e.inputs.default)
     reached = {*e.tape.reach(entry for result in results for entry in result.entries)}
-    return [name for name, leaf in zip(names, e.parameters, strict=True) if leaf.node in reached]
+    return [name for name, leaf in zip(names, e.variables.parameters, strict=True) if leaf.node in reached]
 
 
 def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:
@@ -242,7 +244,7 @@ def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) 
     if program.sizes.rank == program.sizes.n_c:
         return []
     pairs = zip(names, equations.outputs.entries, strict=True)
-    return [name for name, entry in pairs if equations.tape.depends([entry], equations.multipliers)]
+    return [name for name, entry in pairs if equations.tape.depends([entry], equations.variables.multipliers)]
 
 
 def operations_of(functions: Sequence[Function]) -> dict[str, Any]:

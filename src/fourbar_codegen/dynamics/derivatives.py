@@ -101,52 +101,55 @@ def form_derivatives(equations: Equations, *, by_columns: bool = False) -> Deriv
 
     Examples
     --------
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.models import four_bar
     >>> form_derivatives(form_equations(four_bar())).residual_jacobian.shape
     (5, 6)
     """
-    e = equations
-    state = (*e.coordinates, *e.speeds, *e.auxiliary_states)
+    e, v = equations, equations.variables
 
     def backwards(name: str, of: Result, variables: Sequence[Scalar]) -> Result:
         return matrix(name, jacobian(e.tape, of.entries, variables), len(variables))
 
     formed: dict[str, Result | None] = {}
     tangents = []
-    for kind, variables in (("", state), ("_parameter", e.parameters), ("_input", e.inputs)):
+    for kind, variables in (("", v.state), ("_parameter", v.parameters), ("_input", v.inputs)):
         if by_columns:
             tangents.append(_tangent(e, kind, variables))
         # Forward mode: all rows of both results share the subexpressions of each direction.
         directions = [] if by_columns else [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
-        for name, of in (("coordinate_rate", e.coordinate_rates), ("residual", e.residual)):
+        for name, of in (("coordinate_rate", e.dynamics.coordinate_rates), ("residual", e.dynamics.residual)):
             key, rows = f"{name}{kind}_jacobian", [[d(row) for d in directions] for row in of.entries]
             formed[key] = None if by_columns else matrix(key, rows, len(variables))
     rate = Jvp(
         e.tape,
         {
-            e.time: e.tape.one,
-            **dict(zip(e.coordinates, e.coordinate_rates.entries, strict=True)),
-            **dict(zip(e.speeds, e.accelerations, strict=True)),
-            **{e.inputs[place]: e.inputs[of_rate] for place, of_rate in e.input_rates},
+            v.time: e.tape.one,
+            **dict(zip(v.coordinates, e.dynamics.coordinate_rates.entries, strict=True)),
+            **dict(zip(v.speeds, v.accelerations, strict=True)),
+            **{v.inputs[place]: v.inputs[of_rate] for place, of_rate in e.inputs.rates},
         },
     )
-    velocities = [rate(entry) for entry in e.points.entries]
+    velocities = [rate(entry) for entry in e.drawing.points.entries]
     return Derivatives(
-        coordinate_accelerations=vector("coordinate_accelerations", map(rate, e.coordinate_rates.entries)),
-        point_velocities=Result("point_velocities", e.points.shape, tuple(velocities)),
-        point_accelerations=Result("point_accelerations", e.points.shape, tuple(map(rate, velocities))),
-        output_jacobian=backwards("output_jacobian", e.outputs, state),
-        output_parameter_jacobian=backwards("output_parameter_jacobian", e.outputs, e.parameters),
-        output_input_jacobian=backwards("output_input_jacobian", e.outputs, e.inputs),
-        output_acceleration_jacobian=backwards("output_acceleration_jacobian", e.outputs, e.accelerations),
-        output_multiplier_jacobian=backwards("output_multiplier_jacobian", e.outputs, e.multipliers),
-        state_rate_acceleration_jacobian=backwards("state_rate_acceleration_jacobian", e.state_rates, e.accelerations),
-        state_rate_multiplier_jacobian=backwards("state_rate_multiplier_jacobian", e.state_rates, e.multipliers),
-        default_input_jacobian=backwards("default_input_jacobian", e.default_inputs, e.parameters),
-        velocity_jacobian=backwards("velocity_jacobian", e.velocity_violation, e.coordinates),
-        velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocity_violation, e.inputs),
-        position_input_jacobian=backwards("position_input_jacobian", e.position_constraints, e.inputs),
+        coordinate_accelerations=vector("coordinate_accelerations", map(rate, e.dynamics.coordinate_rates.entries)),
+        point_velocities=Result("point_velocities", e.drawing.points.shape, tuple(velocities)),
+        point_accelerations=Result("point_accelerations", e.drawing.points.shape, tuple(map(rate, velocities))),
+        output_jacobian=backwards("output_jacobian", e.outputs, v.state),
+        output_parameter_jacobian=backwards("output_parameter_jacobian", e.outputs, v.parameters),
+        output_input_jacobian=backwards("output_input_jacobian", e.outputs, v.inputs),
+        output_acceleration_jacobian=backwards("output_acceleration_jacobian", e.outputs, v.accelerations),
+        output_multiplier_jacobian=backwards("output_multiplier_jacobian", e.outputs, v.multipliers),
+        state_rate_acceleration_jacobian=backwards(
+            "state_rate_acceleration_jacobian", e.dynamics.state_rates, v.accelerations
+        ),
+        state_rate_multiplier_jacobian=backwards(
+            "state_rate_multiplier_jacobian", e.dynamics.state_rates, v.multipliers
+        ),
+        default_input_jacobian=backwards("default_input_jacobian", e.inputs.default, v.parameters),
+        velocity_jacobian=backwards("velocity_jacobian", e.velocities.violation, v.coordinates),
+        velocity_input_jacobian=backwards("velocity_input_jacobian", e.velocities.violation, v.inputs),
+        position_input_jacobian=backwards("position_input_jacobian", e.positions.constraints, v.inputs),
         tangents=tuple(tangents),
         **formed,
     )
@@ -157,6 +160,6 @@ def _tangent(e: Equations, kind: str, variables: Sequence[Scalar]) -> Tangent:
     along = Jvp(e.tape, dict(zip(variables, direction, strict=True)))
     return Tangent(
         direction,
-        vector(f"coordinate_rate{kind}_tangent", map(along, e.coordinate_rates.entries)),
-        vector(f"residual{kind}_tangent", map(along, e.residual.entries)),
+        vector(f"coordinate_rate{kind}_tangent", map(along, e.dynamics.coordinate_rates.entries)),
+        vector(f"residual{kind}_tangent", map(along, e.dynamics.residual.entries)),
     )

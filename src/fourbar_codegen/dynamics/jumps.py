@@ -91,9 +91,9 @@ def jumps(
         Values of parameters' leaves, where these are known.
     """
     e, tape = equations, equations.tape
-    leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.inputs, e.time)
+    leaves = (*e.variables.state, *e.variables.inputs, e.variables.time)
     names = (*states, *inputs, "t")
-    equations_of_motion = [("", (*e.coordinate_rates.entries, *e.residual.entries))]
+    equations_of_motion = [("", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries))]
 
     @cache
     def outcomes(boundary: Scalar, affected: tuple[Scalar, ...]) -> tuple[Outcome, Outcome]:
@@ -102,7 +102,7 @@ def jumps(
         return own, own if own is Outcome.JUMPS else _look(e, boundary, affected, {})
 
     found: dict[tuple[str, str, bool], bool] = {}
-    for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.default_inputs.entries, strict=True))):
+    for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.inputs.default.entries, strict=True))):
         nodes = tape.reach(rows)
         calls = [*_moving_boundaries(tape, nodes, leaves)]
         affected: dict[int, tuple[Scalar, ...]] = {}
@@ -113,7 +113,7 @@ def jumps(
         for call, function, boundary in calls:
             reached = set(tape.reach([boundary]))
             by = [name for name, leaf in zip(names, leaves, strict=True) if leaf.node in reached]
-            if not by or are_known(tape, e.time, boundary):
+            if not by or are_known(tape, e.variables.time, boundary):
                 continue
             # A function within another one that switches at the same place, such as a root in a branch, is not named.
             if any(
@@ -194,7 +194,8 @@ def _random_lines(e: Equations, scalars: Sequence[Scalar], parameters: Mapping[S
     leaves = [Scalar(tape, 1, n) for n in tape.reach(scalars) if isinstance(tape.nodes[n], Leaf)]
     lines: dict[Scalar, list[tuple[float, float]]] = {leaf: [] for leaf in leaves}
     for attempt in range(ATTEMPTS):
-        known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in e.parameters}
+        given = e.variables.parameters
+        known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in given}
         sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
         for leaf, size in zip(leaves, sizes, strict=True):
             drawn = size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0)

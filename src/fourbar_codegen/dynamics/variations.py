@@ -83,25 +83,25 @@ def form_variations(equations: Equations) -> Variations:
 
     Examples
     --------
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.models import four_bar
     >>> form_variations(form_equations(four_bar())).pullback.gradient.shape
     (15,)
     """
     e = equations
-    leaves = (*e.coordinates, *e.speeds, *e.auxiliary_states, *e.parameters, *e.inputs)
+    leaves = (*e.variables.state, *e.variables.parameters, *e.variables.inputs)
     direction = tuple(e.tape.leaf("d", str(number)) for number in range(len(leaves)))
     along = Jvp(e.tape, dict(zip(leaves, direction, strict=True)))
     return Variations(
         Variation(
             direction,
-            vector("coordinate_rate_variation", map(along, e.coordinate_rates.entries)),
-            vector("residual_variation", map(along, e.residual.entries)),
-            vector("position_variation", map(along, e.position_violation.entries)),
-            vector("velocity_variation", map(along, e.velocity_violation.entries)),
+            vector("coordinate_rate_variation", map(along, e.dynamics.coordinate_rates.entries)),
+            vector("residual_variation", map(along, e.dynamics.residual.entries)),
+            vector("position_variation", map(along, e.positions.violation.entries)),
+            vector("velocity_variation", map(along, e.velocities.violation.entries)),
         ),
-        _pullback(e, "dynamics", (*e.coordinate_rates.entries, *e.residual.entries), leaves),
-        _pullback(e, "constraints", (*e.position_violation.entries, *e.velocity_violation.entries), leaves),
+        _pullback(e, "dynamics", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries), leaves),
+        _pullback(e, "constraints", (*e.positions.violation.entries, *e.velocities.violation.entries), leaves),
     )
 
 

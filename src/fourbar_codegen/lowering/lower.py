@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
-from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.dynamics.equations import Equations, results_of
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.dynamics.variations import Variations
 from fourbar_codegen.errors import ModelError
@@ -91,14 +91,15 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
 
     Examples
     --------
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.models import four_bar
     >>> [f.name for f in lower("four_bar", form_equations(four_bar())).functions][:2]
     ['prepare', 'default_inputs']
     """
-    e, rank = equations, _rank(equations)
-    is_redundant = rank < len(e.velocity_bias.entries)
-    states_need_multipliers = e.tape.depends(e.state_rates.entries, e.multipliers)
+    e, v, rank = equations, equations.variables, _rank(equations)
+    is_redundant = rank < len(e.velocities.bias.entries)
+    state_rates = e.dynamics.state_rates.entries
+    states_need_multipliers = e.tape.depends(state_rates, v.multipliers)
     _check_determined(e, is_redundant, states_need_multipliers)
     structure = _structure(e, rank)
     costs = _costs(e, rank, structure)
@@ -107,22 +108,22 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         raise ModelError(f"{name} has no {form} form; it has: {', '.join(costs)}.")
     if form != "sparse":
         structure = None
-    pool = _Nodes(e.tape, {leaf.node for leaf in e.parameters}.__contains__)
+    pool = _Nodes(e.tape, {leaf.node for leaf in v.parameters}.__contains__)
     drafts = _Drafts(e, pool.contains)
-    factors = _draft_functions(drafts, structure, e.recursion if form == "recursive" else None)
+    factors = _draft_functions(drafts, structure, e.dynamics.recursion if form == "recursive" else None)
     constants, prepare = _constants(e, pool, drafts)
     return Program(
         name=name,
         sizes=_sizes(e, rank, len(constants.nodes)),
         functions=(prepare, *drafts.functions(constants)),
         constants=constants,
-        position_rows=e.position_rows,
+        position_rows=e.positions.rows,
         pivot_order=_pivot_order(e, rank, structure),
         structure=structure,
         factors=factors,
-        states_need_solution=e.tape.depends(e.state_rates.entries, (*e.accelerations, *e.multipliers)),
+        states_need_solution=e.tape.depends(state_rates, (*v.accelerations, *v.multipliers)),
         states_need_multipliers=states_need_multipliers,
-        forces_are_linear=e.forces_are_linear,
+        forces_are_linear=e.driving_forces.are_linear,
     )
 
 
@@ -131,7 +132,7 @@ def _check_determined(e: Equations, is_redundant: bool, states_need_multipliers:
     what = ""
     if states_need_multipliers:
         what = "State equations contain multipliers, which"
-    elif any(e.auxiliary_constraint_jacobian.entries):
+    elif any(e.driving_forces.constraint_jacobian.entries):
         what = "Unknown forces that drive the motion depend on multipliers, which"
     if is_redundant and what:
         raise ModelError(f"{what} redundant constraints leave undetermined: leave out the redundant ones.")
@@ -140,23 +141,24 @@ def _check_determined(e: Equations, is_redundant: bool, states_need_multipliers:
 def _draft_functions(drafts: _Drafts, structure: Structure | None, recursion: Recursion | None) -> Factors | None:
     """Draft all functions that a simulation by an explicit method needs; return the factors of M if they replace M."""
     e, add, factors = drafts.equations, drafts.add, None
-    forcing, (mass_matrix, constraint_jacobian) = e.forcing, _entries(e, structure)
+    rates, forcing, bias = e.dynamics.coordinate_rates, e.dynamics.forcing, e.velocities.acceleration_bias
+    mass_matrix, constraint_jacobian = _entries(e, structure)
     if recursion is not None:
         forcing, factors, mass_matrix = recursion.forcing, *_draft_recursion(drafts, recursion)
-    add(Role.DEFAULT_INPUTS, e.default_inputs)
-    add(Role.BREAKPOINTS, e.breakpoints)
-    add(Role.DYNAMICS, e.coordinate_rates, mass_matrix, forcing, constraint_jacobian, e.acceleration_bias)
-    add(Role.POSITION, e.position_constraints, e.position_jacobian)
-    add(Role.VELOCITY, e.constraint_jacobian, e.velocity_bias)
-    add(Role.CONSTRAINT_VIOLATION, e.position_violation, e.velocity_violation)
-    add(Role.CONSTRAINT_SCALE, e.position_scale, e.position_violation_scale, e.velocity_violation_scale)
-    add(Role.INVARIANT_CORRECTION, e.invariant_correction)
-    add(Role.COORDINATE_CHANGE, e.coordinate_change, further=_array("change", e.accelerations))
-    add(Role.ENERGY, e.energies)
+    add(Role.DEFAULT_INPUTS, e.inputs.default)
+    add(Role.BREAKPOINTS, e.inputs.breakpoints)
+    add(Role.DYNAMICS, rates, mass_matrix, forcing, constraint_jacobian, bias)
+    add(Role.POSITION, e.positions.constraints, e.positions.jacobian)
+    add(Role.VELOCITY, e.velocities.jacobian, e.velocities.bias)
+    add(Role.CONSTRAINT_VIOLATION, e.positions.violation, e.velocities.violation)
+    add(Role.CONSTRAINT_SCALE, e.positions.scale, e.positions.violation_scale, e.velocities.violation_scale)
+    add(Role.INVARIANT_CORRECTION, e.positions.invariant_correction)
+    add(Role.COORDINATE_CHANGE, e.dynamics.coordinate_change, further=_array("change", e.variables.accelerations))
+    add(Role.ENERGY, e.energy.energies)
     add(Role.OUTPUT, e.outputs)
-    add(Role.STATE_RATES, e.state_rates)
-    unknown = e.multipliers[len(e.velocity_bias.entries) :]
-    add(Role.UNKNOWN_FORCES, *e.of_unknown_forces, further=_array("forces", unknown))
+    add(Role.STATE_RATES, e.dynamics.state_rates)
+    unknown = e.variables.multipliers[len(e.velocities.bias.entries) :]
+    add(Role.UNKNOWN_FORCES, *results_of(e.driving_forces), further=_array("forces", unknown))
     return factors
 
 
@@ -173,20 +175,21 @@ def _draft_recursion(drafts: _Drafts, recursion: Recursion) -> tuple[Factors, Re
 
 
 def _sizes(e: Equations, rank: int, n_constants: int) -> Sizes:
+    v = e.variables
     return Sizes(
-        n_q=len(e.coordinates),
-        n_u=len(e.speeds),
-        n_z=len(e.auxiliary_states),
-        n_p=len(e.parameters),
-        n_r=len(e.inputs),
-        n_h=len(e.position_constraints.entries),
-        n_c=len(e.velocity_bias.entries),
-        n_n=len(e.auxiliary_forcing.entries),
-        n_i=len(e.invariants),
+        n_q=len(v.coordinates),
+        n_u=len(v.speeds),
+        n_z=len(v.auxiliary_states),
+        n_p=len(v.parameters),
+        n_r=len(v.inputs),
+        n_h=len(e.positions.constraints.entries),
+        n_c=len(e.velocities.bias.entries),
+        n_n=len(e.driving_forces.forcing.entries),
+        n_i=len(e.positions.invariants),
         n_o=len(e.outputs.entries),
-        n_points=len(e.picture.points),
-        n_forces=len(e.forced),
-        n_breakpoints=len(e.breakpoints.entries),
+        n_points=len(e.drawing.picture.points),
+        n_forces=len(e.drawing.forced),
+        n_breakpoints=len(e.inputs.breakpoints.entries),
         rank=rank,
         n_constants=n_constants,
     )
@@ -211,7 +214,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     Examples
     --------
     >>> from fourbar_codegen.dynamics.derivatives import form_derivatives
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.models import four_bar
     >>> equations = form_equations(four_bar())
     >>> functions = lower_derivatives(lower("four_bar", equations), equations, form_derivatives(equations))
@@ -233,7 +236,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
         )
         for role, results in zip(roles, pairs, strict=True):
             drafts.add(role, *(result for result in results if result is not None))
-    drafts.add(Role.DRAWING, e.points, e.forces)
+    drafts.add(Role.DRAWING, e.drawing.points, e.drawing.forces)
     drafts.add(Role.MOTION, d.coordinate_accelerations, d.point_velocities, d.point_accelerations)
     drafts.add(Role.DEFAULT_INPUT_PARTIALS, d.default_input_jacobian)
     drafts.add(Role.CONSTRAINT_PARTIALS, d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian)
@@ -252,7 +255,7 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
 
     Examples
     --------
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.dynamics.variations import form_variations
     >>> from fourbar_codegen.models import four_bar
     >>> equations = form_equations(four_bar())
@@ -357,17 +360,18 @@ class _Drafts:
         e, is_constant = self.equations, self._is_constant
         entries = add_angles(e.tape, [entry for result in results for entry in result.entries], is_constant)
         statements, entries = eliminate_common_subexpressions(e.tape, entries, is_constant)
-        before, after = [_array("t", (e.time,))], []
+        v = e.variables
+        before, after = [_array("t", (v.time,))], []
         if role.needs & Needs.STATE:
-            before.append(_array("x", (*e.coordinates, *e.speeds, *e.auxiliary_states)))
+            before.append(_array("x", e.variables.state))
         elif role.needs & Needs.COORDINATES:
-            before.append(_array("q", e.coordinates))
+            before.append(_array("q", e.variables.coordinates))
         if len(before) > 1:
-            after.append(_array("r", e.inputs))
+            after.append(_array("r", e.variables.inputs))
         if role.needs & Needs.ACCELERATIONS:
-            after.append(_array("accelerations", e.accelerations))
+            after.append(_array("accelerations", e.variables.accelerations))
         if role.needs & Needs.MULTIPLIERS:
-            after.append(_array("multipliers", e.multipliers))
+            after.append(_array("multipliers", e.variables.multipliers))
         return _Draft(
             role.name.lower(),
             role.comment,
@@ -384,9 +388,9 @@ def _rank(e: Equations) -> int:
 
     The rank is that at a random point. `verify` tests it at states that satisfy the constraints.
     """
-    n_u = len(e.speeds)
-    entries = e.constraint_jacobian.entries
-    return min(e.n_dependent_speeds, find_rank(e.tape, [entries[i : i + n_u] for i in range(0, len(entries), n_u)]))
+    n_u, entries = len(e.variables.speeds), e.velocities.jacobian.entries
+    rows = [entries[i : i + n_u] for i in range(0, len(entries), n_u)]
+    return min(e.velocities.n_dependent_speeds, find_rank(e.tape, rows))
 
 
 def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotOrder:
@@ -394,11 +398,11 @@ def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotO
 
     Constraints may be redundant only where loops are closed: then it is that at closed states, if any are known.
     """
-    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
     if structure is not None or n_c > MAX_CONSTRAINTS:
         return find_pivot_order(n_c, n_u, rank, [])  # it is not used
-    entries = e.constraint_jacobian.entries
-    closed = [*_evaluated(e, entries, e.closed_states if rank < n_c else ())]
+    entries = e.velocities.jacobian.entries
+    closed = [*_evaluated(e, entries, e.positions.closed_states if rank < n_c else ())]
     jacobians = [
         [numbers[i : i + n_u] for i in range(0, len(numbers), n_u)]
         for numbers in closed or _at_random_points(e, entries)
@@ -413,10 +417,10 @@ def _at_random_points(e: Equations, entries: Sequence[Scalar]) -> Iterator[list[
 
 def _random_points(e: Equations) -> Iterator[dict[Scalar, float]]:
     """Random points, some of them near zero coordinates."""
-    generator = random.Random(0)
+    v, generator = e.variables, random.Random(0)
     for size in (0.05, 1.0) * POINTS:
-        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (e.time, *e.speeds, *e.parameters, *e.inputs)}
-        yield values | {leaf: generator.uniform(-size, size) for leaf in e.coordinates}
+        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (v.time, *v.speeds, *v.parameters, *v.inputs)}
+        yield values | {leaf: generator.uniform(-size, size) for leaf in v.coordinates}
 
 
 def _evaluated(
@@ -429,18 +433,18 @@ def _evaluated(
 
 
 def _structure(e: Equations, rank: int) -> Structure | None:
-    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
+    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
     if rank < n_c:
         return None  # redundant constraints need pivoting
-    mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.mass_matrix.entries[i * n_u + j])
-    jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.constraint_jacobian.entries[i * n_u + j])
+    mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.dynamics.mass_matrix.entries[i * n_u + j])
+    jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.velocities.jacobian.entries[i * n_u + j])
     examples = [_example(e, values) for values in itertools.islice(_random_points(e), EXAMPLES if n_c else 0)]
     return find_structure(n_u, n_c, mass, jacobian, examples)
 
 
 def _example(e: Equations, values: Mapping[Scalar, float]) -> list[list[float]]:
     """J at a point, with random entries in rows that have no value there: parameters need not fit each other."""
-    n_u, entries, generator = len(e.speeds), e.constraint_jacobian.entries, random.Random(0)
+    n_u, entries, generator = len(e.variables.speeds), e.velocities.jacobian.entries, random.Random(0)
     rows = []
     for row in (entries[i : i + n_u] for i in range(0, len(entries), n_u)):
         found = next(_evaluated(e, row, [values]), None)
@@ -451,25 +455,25 @@ def _example(e: Equations, values: Mapping[Scalar, float]) -> list[list[float]]:
 def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
     """The mass matrix and the constraint Jacobian in the form that `dynamics` returns."""
     if structure is None:
-        return e.mass_matrix, e.constraint_jacobian
-    n_u = len(e.speeds)
-    mass = tuple(e.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
-    jacobian = tuple(e.constraint_jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
+        return e.dynamics.mass_matrix, e.velocities.jacobian
+    n_u = len(e.variables.speeds)
+    mass = tuple(e.dynamics.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
+    jacobian = tuple(e.velocities.jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
     return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
 
 
 def _costs(e: Equations, rank: int, structure: Structure | None) -> dict[str, float]:
     """The time to form and solve the equations in each form they have, in operations of straight-line code."""
-    n_u, n_c = len(e.speeds), len(e.velocity_bias.entries)
-    common = (*e.coordinate_rates.entries, *e.constraint_jacobian.entries, *e.acceleration_bias.entries)
-    count, recursion = e.tape.count_operations, e.recursion
-    formed = count([*common, *e.forcing.entries, *e.mass_matrix.entries])
+    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
+    d, count, recursion = e.dynamics, e.tape.count_operations, e.dynamics.recursion
+    common = (*d.coordinate_rates.entries, *e.velocities.jacobian.entries, *e.velocities.acceleration_bias.entries)
+    formed = count([*common, *d.forcing.entries, *d.mass_matrix.entries])
     costs = {"dense": formed + ELIMINATION * solution_cost(n_u, n_c, None)}
     if structure is not None:
         costs["sparse"] = formed + ELIMINATION * solution_cost(n_u, n_c, structure)
     # Redundant constraints need pivoting, and a recursion a regular M.
     if recursion is not None and rank == n_c and _is_regular(e, recursion):
-        n_jacobian = sum(map(bool, e.constraint_jacobian.entries))
+        n_jacobian = sum(map(bool, e.velocities.jacobian.entries))
         of_solution = count(recursion.solution.entries) - count(recursion.pivots.entries)
         formed = count([*common, *recursion.forcing.entries, *recursion.solution.entries])
         costs["recursive"] = (formed + LOOPS * recursive_cost(n_u, n_c, n_jacobian, of_solution)) / RECURSIVE
@@ -481,8 +485,8 @@ def _is_regular(e: Equations, recursion: Recursion) -> bool:
 
     Random numbers need not be the inertia of a body, so pivots may be negative.
     """
-    n_u = len(e.speeds)
-    diagonal = [e.mass_matrix.entries[i * n_u + i] for i in range(n_u)]
+    n_u = len(e.variables.speeds)
+    diagonal = [e.dynamics.mass_matrix.entries[i * n_u + i] for i in range(n_u)]
     pairs = [
         (pivot, size)
         for numbers in itertools.islice(_at_random_points(e, [*recursion.pivots.entries, *diagonal]), 2)
@@ -528,21 +532,21 @@ class _Nodes:
 def _constants(e: Equations, pool: _Nodes, drafts: _Drafts) -> tuple[Array, Function]:
     """The array of constants that the drafted functions use, and the function that fills it."""
     lowered = [(draft.statements, [e for r in draft.results for e in r.entries]) for draft in drafts.drafts]
-    nodes = tuple(dict.fromkeys([*(parameter.node for parameter in e.parameters), *pool.used(lowered)]))
+    nodes = tuple(dict.fromkeys([*(parameter.node for parameter in e.variables.parameters), *pool.used(lowered)]))
     statements, entries = eliminate_common_subexpressions(
         e.tape, [Scalar(e.tape, 1, node) for node in nodes], lambda _: False
     )
     prepare = Function(
         "prepare",
         "The parameters, then all constants derived from them.",
-        (_array("p", e.parameters),),
+        (_array("p", e.variables.parameters),),
         statements,
         (Result("constants", (len(nodes),), tuple(entries)),),
         operations_before_sharing=0,  # what it computes is counted where it is used
         is_vectorized=True,
     )
-    n_p = len(e.parameters)
-    leaves = (*(_leaf(parameter) for parameter in e.parameters), *[None] * (len(nodes) - n_p))
+    n_p = len(e.variables.parameters)
+    leaves = (*(_leaf(parameter) for parameter in e.variables.parameters), *[None] * (len(nodes) - n_p))
     return Array("constants", nodes, leaves), prepare
 
 

@@ -185,7 +185,7 @@ def schedule(program: Program) -> Schedule:
 
     Examples
     --------
-    >>> from fourbar_codegen.dynamics.equations import form_equations
+    >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.lowering.lower import lower
     >>> from fourbar_codegen.models import four_bar
     >>> scheduled = schedule(lower("four_bar", form_equations(four_bar())))

@@ -329,7 +329,7 @@ class Model:
         states = {_name(function): function for function in self._states()}
         self.initial = self._check_initial(_by_symbol(_mapping(initial, "initial"), states))
         if self.mechanism.states_velocity_constraints:
-            from fourbar_codegen.dynamics.equations import check_velocity_constraints
+            from fourbar_codegen.dynamics.formation import check_velocity_constraints
 
             check_velocity_constraints(self)
 

@@ -31,7 +31,7 @@ from fourbar_codegen.kernel.loading import (
 )
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite, versions
-from fourbar_codegen.runtime.functions import Functions
+from fourbar_codegen.runtime.functions import DYNAMICS, ENERGY, OUTPUT, POSITION, Functions
 
 __all__ = ["Kernel", "parameter_array"]
 
@@ -339,7 +339,7 @@ class Kernel(Functions):
         >>> fb.load("four_bar").tree_mass_matrix(0.0, [0.0] * 6).shape
         (3, 3)
         """
-        return self._finite(self.dynamics(t, x, p, np.zeros(self.n_r))[1], t, x)
+        return self._finite(self.evaluate(DYNAMICS, t, x, p, np.zeros(self.n_r))[1], t, x)
 
     def tree_forcing(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """The vector f of Kane's equations M u' = f with all speeds independent, shape (n_u,).
@@ -419,9 +419,15 @@ class Kernel(Functions):
 
     def _finite(self, values: Floats, t: float, x: ArrayLike) -> Floats:
         """The values; raises a SimulationError if they are not finite."""
-        if not is_finite(np.ascontiguousarray(values)):
+        if not is_finite(values if values.flags.c_contiguous else values.copy()):
             raise SimulationError(self.failure(NOT_FINITE, t, x))
         return values
+
+    def _finite_number(self, value: float, t: float, x: ArrayLike) -> float:
+        """The value; raises a SimulationError if it is not finite."""
+        if not math.isfinite(value):
+            raise SimulationError(self.failure(NOT_FINITE, t, x))
+        return value
 
     def _projection(self, jacobian: Floats) -> Floats:
         """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
@@ -444,7 +450,7 @@ class Kernel(Functions):
         >>> fb.load("four_bar").position_constraints(0.0, [0.0, 0.0, 0.0]).tolist()
         [3.0, 0.0]
         """
-        return self._finite(self.position(t, q, p, r)[0], t, q)
+        return self._finite(self.evaluate(POSITION, t, q, p, r)[0], t, q)
 
     def positions(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> dict[str, Floats]:
         """Positions of the mechanism's points, by name, m, each of shape (3,), from the System's fixed point.
@@ -553,7 +559,8 @@ class Kernel(Functions):
         >>> four_bar.outputs, four_bar.output(0.0, four_bar.initial_state()).shape
         ((), (0,))
         """
-        return self.outputs_for(t, x, *self.accelerations(t, x, p, r), p, r)
+        output: Floats = self.evaluate(OUTPUT, t, x, p, r, *self.accelerations(t, x, p, r))[0]
+        return output
 
     def kinetic_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Kinetic energy, J.
@@ -569,7 +576,7 @@ class Kernel(Functions):
         >>> fb.load("four_bar").kinetic_energy(0.0, [0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
         0.0
         """
-        return float(self._finite(self.energy(t, x, p, r)[:1], t, x)[0])
+        return self._finite_number(self.evaluate(ENERGY, t, x, p, r)[0].item(0), t, x)
 
     def potential_energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> float:
         """Potential energy, J: as given with the Model, or of bodies, constant forces, such as gravity, and springs.
@@ -599,10 +606,10 @@ class Kernel(Functions):
                 "relative to a fixed point is not defined, or whose velocity is not the rate of that position; or the "
                 "loss of the bodies' potentials is not the work of loads. Give potential_energy= to the Model."
             )
-        energy = float(self.energy(t, x, p, r)[1])
+        energy = self.energy(t, x, p, r).item(1)
         if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
             raise ModelError(self.missing())
-        return float(self._finite(np.array([energy]), t, x)[0])
+        return self._finite_number(energy, t, x)
 
 
 def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:

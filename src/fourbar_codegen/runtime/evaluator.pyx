@@ -371,7 +371,7 @@ cdef class Evaluator:
         cdef double *found[FB_ARRAYS]
         cdef fb_at at
         cdef int i, status
-        cdef list read = [], results = []
+        cdef list read = None, results = [None] * f.n_results
         if f.needs & (FB_NEEDS_STATE | FB_NEEDS_COORDINATES):
             inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_motions)
             state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
@@ -379,13 +379,14 @@ cdef class Evaluator:
             held = vector(accelerations, self.n_u, "The accelerations")
         if f.needs & FB_NEEDS_MULTIPLIERS:
             forces = vector(multipliers, self.n_l, "The multipliers")
-        for i in range(f.n_arguments):
-            array = vector(arguments[i], f.arguments[i].rows, f"The {f.arguments[i].name.decode()}")
-            read.append(array)  # which keeps its memory
-            given[i] = data(array)
+        if f.n_arguments:
+            read = [vector(arguments[i], f.arguments[i].rows, f"The {f.arguments[i].name.decode()}")
+                    for i in range(f.n_arguments)]
+            for i in range(f.n_arguments):
+                given[i] = data(read[i])
         for i in range(f.n_results):
             array = new_array(f.results[i].rows, f.results[i].columns)
-            results.append(array)
+            results[i] = array
             found[i] = data(array)
         at.t, at.n_directions = t, 0
         at.constants = self._prepare(parameters)

@@ -13,6 +13,9 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 
 __all__ = ["Functions"]
 
+# Of an enumeration, an attribute takes 0.2 us in Python 3.11, as much as a function at one state.
+DYNAMICS, POSITION, VELOCITY, ENERGY, OUTPUT = Role.DYNAMICS, Role.POSITION, Role.VELOCITY, Role.ENERGY, Role.OUTPUT
+
 Floats = NDArray[np.float64]
 Values = ArrayLike | Mapping[Any, float]
 
@@ -36,21 +39,21 @@ class Functions(Evaluator):
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """q', M, f, J and gamma of M u' = f + J^T lambda, J u' + gamma = 0."""
-        rates, mass_matrix, forcing, jacobian, bias = self.evaluate(Role.DYNAMICS, t, x, p, r)
+        rates, mass_matrix, forcing, jacobian, bias = self.evaluate(DYNAMICS, t, x, p, r)
         return rates, mass_matrix, forcing, jacobian, bias
 
     def position(
         self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]:
         """The position constraints, shape (n_h,), and their Jacobian, shape (n_h, n_q)."""
-        constraints, jacobian = self.evaluate(Role.POSITION, t, q, p, r)
+        constraints, jacobian = self.evaluate(POSITION, t, q, p, r)
         return constraints, jacobian
 
     def velocity(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]:
         """J, shape (n_c, n_u), and b, shape (n_c,), of the velocity constraints J u + b = 0."""
-        jacobian, bias = self.evaluate(Role.VELOCITY, t, x, p, r)
+        jacobian, bias = self.evaluate(VELOCITY, t, x, p, r)
         return jacobian, bias
 
     def constraint_violation(
@@ -111,7 +114,7 @@ class Functions(Evaluator):
 
     def energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Kinetic and potential energy, shape (2,)."""
-        return self.evaluate(Role.ENERGY, t, x, p, r)[0]
+        return self.evaluate(ENERGY, t, x, p, r)[0]
 
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
@@ -146,7 +149,7 @@ class Functions(Evaluator):
         r: Values | None = None,
     ) -> Floats:
         """The outputs, shape (n_o,), for given u' and lambda."""
-        return self.evaluate(Role.OUTPUT, t, x, p, r, accelerations, multipliers)[0]
+        return self.evaluate(OUTPUT, t, x, p, r, accelerations, multipliers)[0]
 
     def state_rates_for(
         self,

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import pickle
 import re
 import sys
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from fourbar_codegen.arguments import flag
 from fourbar_codegen.building.cache import cached, find_cached
@@ -24,6 +23,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.files import path_of
 from fourbar_codegen.kernel.loading import cache_key, load_cached, load_file
+from fourbar_codegen.layout import Layout
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import versions
@@ -87,7 +87,7 @@ class Generated:
     scheduled: Schedule
     names: dict[str, tuple[str, ...]]
     sources: dict[str, str]
-    manifest: dict[str, Any]
+    layout: Layout
 
 
 def generate_kernel(model: Model, progress: Progress) -> Generated:
@@ -95,7 +95,7 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
     _require_model(model)
     # Imported here, since a model in the cache does not need it.
     from fourbar_codegen.codegen.c_source import batch_text, header_text, kernel_text
-    from fourbar_codegen.codegen.manifest import manifest_of
+    from fourbar_codegen.codegen.manifest import layout_of
     from fourbar_codegen.dynamics.formation import form_equations
     from fourbar_codegen.lowering.lower import lower
     from fourbar_codegen.lowering.schedule import schedule
@@ -120,8 +120,8 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
         **({f"{model.name}_batch.c": batch} if batch else {}),
         f"{model.name}_kernel.h": header_text(scheduled, names),
     }
-    manifest = manifest_of(model, equations, program, names, fingerprint(_described(model)))
-    return Generated(equations, scheduled, names, sources, manifest)
+    layout = layout_of(model, equations, program, names, fingerprint(_described(model)))
+    return Generated(equations, scheduled, names, sources, layout)
 
 
 def generate_derivatives(equations: Equations, program: Program) -> tuple[Derivatives, list[ScheduledFunction]]:
@@ -159,14 +159,14 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
     generated = generate_kernel(model, progress)
     from fourbar_codegen.codegen.c_source import derivatives_text, variations_text, version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
-    from fourbar_codegen.codegen.manifest import manifest_text, operations_of
+    from fourbar_codegen.codegen.manifest import operations_of
 
     equations, program, names = generated.equations, generated.scheduled.program, generated.names
     # On a tape of their own, as at their first use: the text of a part does not depend on what was formed before.
     varied = _generate_variations(*pickle.loads(pickle.dumps((equations, program))))
     derivatives, scheduled = generate_derivatives(equations, program)
     functions = (*program.functions, *(f.function for f in (*scheduled, *varied)))
-    manifest = {**generated.manifest, **operations_of(functions)}
+    layout = replace(generated.layout, operations=operations_of(functions))
     return (
         equations,
         derivatives,
@@ -175,8 +175,8 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
             **{f"{model.name}{suffix}": text for suffix, text in version_texts(generated.scheduled).items()},
             f"{model.name}_derivatives.c": derivatives_text(model.name, scheduled, names),
             f"{model.name}_variations.c": variations_text(model.name, varied, names),
-            f"{model.name}.pyx": wrapper_text(model, manifest),
-            "manifest.json": manifest_text(manifest),
+            f"{model.name}.pyx": wrapper_text(model, layout),
+            "manifest.json": layout.to_text(),
         },
     )
 
@@ -349,10 +349,9 @@ class _NothingComparedError(Exception):
 def _saying(sources: dict[str, str], model: Model, compared: int) -> dict[str, str]:
     """A module's sources, with the number of states at which it is compared."""
     from fourbar_codegen.codegen.cython_source import wrapper_text
-    from fourbar_codegen.codegen.manifest import manifest_text
 
-    manifest = {**json.loads(sources["manifest.json"]), "compared": compared}
-    return {**sources, f"{model.name}.pyx": wrapper_text(model, manifest), "manifest.json": manifest_text(manifest)}
+    layout = replace(Layout.from_text(sources["manifest.json"]), compared=compared)
+    return {**sources, f"{model.name}.pyx": wrapper_text(model, layout), "manifest.json": layout.to_text()}
 
 
 def not_compared(name: str) -> str:
@@ -384,7 +383,7 @@ def _comparison(
         progress.stage("checking")
         loaded, compared = load_file(module), []
         for kernel in versions(loaded.kernel):
-            model = CompiledModel(kernel, loaded.manifest)
+            model = CompiledModel(kernel, loaded.layout)
             compared.append(verify(model, equations, derivatives))
             if not model.lacks_batch_functions:
                 compare_batch_functions(model)
@@ -447,7 +446,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
             return install(
                 model.name,
                 generated.sources,
-                generated.manifest,
+                generated.layout,
                 folder,
                 later=pickle.dumps(partial(_source_of, equations, program, generated.names)),
                 check=_comparison(progress, equations) if check else None,
@@ -459,5 +458,5 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     compiled = CompiledModel.from_loaded(load_cached(lambda: cached(model.name, key, build)))
     compiled.compares = check
     unsure = (not_compared(model.name),) if check and not compiled.is_verified else ()
-    warn((*compiled.manifest["warnings"], *unsure), 3)
+    warn((*compiled.layout.warnings, *unsure), 3)
     return compiled

@@ -133,8 +133,10 @@ class CompiledModel(Kernel):
         Of the parameters.
     path : Path
         The extension module, or the library of `compile_model`; an argument for `load`.
+    layout : Layout
+        The description of the model: names, order, what depends on what.
     manifest : dict
-        The description of the model, as in the manifest.json of the generated sources.
+        The same as data for JSON, as in the manifest.json of the generated sources.
     n_q, n_u, n_z, n_x, n_p, n_r : int
         Numbers of coordinates, speeds, auxiliary states, states, parameters and inputs.
     n_h, n_c, n_o : int
@@ -155,12 +157,12 @@ class CompiledModel(Kernel):
         return names_table(
             f"Compiled model {self.name}: {self.n_h} constraints on positions, {self.n_c} on velocities",
             [
-                ("coordinate", self.coordinates, self.manifest["n_dependent_coordinates"]),
-                ("speed", self.speeds, self.manifest["n_dependent_speeds"]),
+                ("coordinate", self.coordinates, self.layout.n_dependent_coordinates),
+                ("speed", self.speeds, self.layout.n_dependent_speeds),
                 ("auxiliary state", self.auxiliary_states, 0),
             ],
             {name: (value, self.units[name], self.descriptions[name]) for name, value in self.defaults.items()},
-            {entry["name"]: entry["expression"] for entry in self.manifest["inputs"]},
+            {entry.name: entry.expression for entry in self.layout.inputs},
             self.outputs,
         )
 

@@ -2,40 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from fourbar_codegen.layout import Layout
 
-__all__ = ["definitions_text", "motions"]
-
-
-def motions(manifest: Mapping[str, Any]) -> set[str]:
-    """The inputs that prescribe motions: their rates are inputs, too."""
-    return {entry["of"] for entry in manifest["inputs"] if entry["order"]}
+__all__ = ["definitions_text"]
 
 
-def definitions_text(manifest: Mapping[str, Any]) -> str:
+def definitions_text(layout: Layout) -> str:
     """Numbers of dependent coordinates and speeds, defaults, and which inputs prescribe motions.
 
     Parameters
     ----------
-    manifest : mapping
+    layout : Layout
         Defaults that are missing are not numbers.
 
     Returns
     -------
     str
     """
-    names = [*manifest["coordinates"], *manifest["speeds"], *manifest["auxiliary_states"]]
-    initial = ", ".join(_number(manifest["initial"].get(name, 0.0)) for name in names)
-    defaults = ", ".join(_number(entry["default"]) for entry in manifest["parameters"]) or "0.0"
-    given = ", ".join(str(int(entry["expression"] is not None)) for entry in manifest["inputs"]) or "0"
-    moving = motions(manifest)
-    moves = ", ".join(str(int(e["of"] in moving and e["order"] < 2)) for e in manifest["inputs"]) or "0"
+    names = layout.states
+    initial = ", ".join(_number(layout.initial.get(name, 0.0)) for name in names)
+    defaults = ", ".join(_number(entry.default) for entry in layout.parameters) or "0.0"
+    given = ", ".join(str(int(entry.expression is not None)) for entry in layout.inputs) or "0"
+    moving = layout.has_rates
+    moves = ", ".join(str(int(e.of in moving and e.order < 2)) for e in layout.inputs) or "0"
     return f"""
 enum {{
-    N_DEPENDENT_COORDINATES = {manifest["n_dependent_coordinates"]},
-    N_DEPENDENT_SPEEDS = {manifest["n_dependent_speeds"]},
-    N_JUMPS = {manifest["n_jumps"]}
+    N_DEPENDENT_COORDINATES = {layout.n_dependent_coordinates},
+    N_DEPENDENT_SPEEDS = {layout.n_dependent_speeds},
+    N_JUMPS = {layout.breakpoints.n_of_motions}
 }};
 
 static const double default_parameters[] = {{{defaults}}};

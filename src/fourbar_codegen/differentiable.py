@@ -136,7 +136,7 @@ class JaxModel:
         given = {} if r is None else r
         if is_mapping(given):
             of_r = named(given, model.inputs, "input")
-            if any(e["expression"] is None and e["name"] not in of_r for e in model.manifest["inputs"]):
+            if any(e.expression is None and e.name not in of_r for e in model.layout.inputs):
                 raise ModelError(model.missing())
             r = _replaced(_inputs(model)(t, p) if model.n_r else jnp.zeros(0), model.inputs, of_r)
         return _rhs(model)(t, x, p, _shaped("r", r, (model.n_r,)))
@@ -360,7 +360,7 @@ class _Simulation:
         outputs: Sequence[Any],
         how: dict[str, Any],
     ) -> _Simulation:
-        own = [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
+        own = [entry.name for entry in model.layout.inputs if not entry.order]
         sources = named(options.inputs or {}, own, "input")
         wanted = map(name_of, listed(outputs, "outputs is a sequence of names"))
         names = tuple(named(dict.fromkeys(wanted), model.outputs, "output"))
@@ -378,7 +378,7 @@ class _Simulation:
         shape = jax.ShapeDtypeStruct((len(names), len(self.t_eval)), float)
         # Forwards, only what a call gives is differentiated by: others may have no derivative, and NaN times 0 is NaN.
         solve = functools.cache(functools.partial(_forward if forward else _reverse, self, shape))
-        start = {**dict.fromkeys(self.initial, 0.0), **model.manifest["initial"]}
+        start = {**dict.fromkeys(self.initial, 0.0), **model.layout.initial}
 
         def simulate(parameters: Arrays = {}, initial: Arrays = {}, inputs: Arrays = {}) -> dict[str, Any]:  # noqa: B006
             p, x, r = (

@@ -142,7 +142,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     folders = {name: _folder(name, fmi) for name in several}
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
-        manifest = generated.manifest
+        layout = generated.layout
         from fourbar_codegen.codegen.fmu import (
             FMU_HEADERS,
             build_description,
@@ -152,10 +152,10 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
             variables_of,
         )
 
-        name, files = manifest["name"], _library_files(generated, progress, FMU_HEADERS)
-        variables = variables_of(manifest, [_at_start(model, entry["name"]) for entry in manifest["inputs"]])
+        name, files = layout.name, _library_files(generated, progress, FMU_HEADERS)
+        variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs])
         sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
-        sources[f"{name}_fmu.c"] = fmu_source(fmi, manifest)
+        sources[f"{name}_fmu.c"] = fmu_source(fmi, layout)
         progress.stage("compiling")
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
@@ -167,7 +167,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
                 target = None if kind == _platform() else PLATFORMS[kind][0]
                 built = compile_shared(library, folder, sources_of(name), target)
                 binaries[f"binaries/{own}/{built.name}"] = built.read_bytes()
-        texts = {"modelDescription.xml": description(fmi, manifest, variables, _version())}
+        texts = {"modelDescription.xml": description(fmi, layout, variables, _version())}
         if fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(name)
         texts |= {f"sources/{file}": text for file, text in sources.items()}
@@ -200,7 +200,7 @@ def _library_files(generated: Generated, progress: Progress, more: tuple[str, ..
     folder = Path(get_include())
     runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
     texts = library_texts(
-        generated.scheduled, functions, generated.names, generated.manifest, _version(), runtime, names_entries=not more
+        generated.scheduled, functions, generated.names, generated.layout, _version(), runtime, names_entries=not more
     )
     _check_initial_speeds(generated)
     return texts | {f"{FOLDER}{name}": text for name, text in runtime.items()}
@@ -213,16 +213,16 @@ def _check_initial_speeds(generated: Generated) -> None:
     from fourbar_codegen.analysis.initial_state import check_speeds
     from fourbar_codegen.dynamics.random_states import close
 
-    e, initial, names = generated.equations, generated.manifest["initial"], generated.manifest["speeds"]
+    e, initial, names = generated.equations, generated.layout.initial, generated.layout.speeds
     v = e.variables
-    n_qi = len(v.coordinates) - generated.manifest["n_dependent_coordinates"]
-    n_ui = len(v.speeds) - e.velocities.n_dependent_speeds
+    n_qi, n_ui = generated.layout.n_independent_coordinates, generated.layout.n_independent_speeds
     dependent = [name for name in names[n_ui:] if name in initial]
     if not dependent:
         return
-    start = zip((*v.coordinates, *v.speeds), (*generated.manifest["coordinates"], *names), strict=True)
+    start = zip((*v.coordinates, *v.speeds), (*generated.layout.coordinates, *names), strict=True)
     point = {v.time: 0.0} | {leaf: initial.get(name, 0.0) for leaf, name in start}
-    defaults = (entry["default"] for entry in generated.manifest["parameters"])
+    # `library_texts` has refused parameters without a default.
+    defaults = [entry.default for entry in generated.layout.parameters if entry.default is not None]
     point |= zip(v.parameters, defaults, strict=True)
     point |= zip(v.inputs, e.tape.evaluate(e.inputs.default.entries, point), strict=True)
     if close(e.tape, e.positions.constraints.entries, v.coordinates[n_qi:], point):

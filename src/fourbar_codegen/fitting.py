@@ -427,11 +427,11 @@ class _Problem:
         values = [_number(name, guesses.get(name, model.defaults.get(name)), "parameter") for name in parameters]
         known = [(*e.coordinates.items(), *e.speeds.items(), *e.auxiliary_states.items()) for e in experiments]
         for i in range(n):
-            start = {**model.manifest["initial"], **{name_of(key): value for key, value in known[i]}}
+            start = {**model.layout.initial, **{name_of(key): value for key, value in known[i]}}
             values += [_number(name, guesses.get(name, start.get(name, 0.0)), "initial value") for name in initial]
         own = [
             *(model.defaults[name] for name in parameters),
-            *n * [model.manifest["initial"].get(name) for name in initial],
+            *n * [model.layout.initial.get(name) for name in initial],
         ]
         deviations = (
             {} if sigma is None else named(_mapping(sigma, "sigma"), (*model.states, *model.outputs), "state or output")

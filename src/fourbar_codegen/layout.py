@@ -1,163 +1,649 @@
-"""What both halves of the package, and the C between them, know of a compiled model.
+"""What both halves of the package know of a compiled model.
 
-The enumerations are those of ``fourbar_enums.h``, which ``python -m fourbar_codegen.layout`` writes.
+`Layout` is its description, the manifest, which JSON text carries from one half to the other.
 """
 
 from __future__ import annotations
 
-from enum import IntEnum
-from pathlib import Path
-from typing import Self
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import Self, TypeVar
 
-__all__ = ["DIRECTIONS", "VECTOR", "Needs", "Role", "Status", "enums_text"]
+from fourbar_codegen.errors import ModelError
 
-
-DIRECTIONS = 8
-"""The most directions that JVPs take at once: the columns of their arguments and results."""
-
-VECTOR = -1
-"""Instead of the number of columns of a vector."""
-
-
-class _Enum(IntEnum):
-    """An enumeration of the C interface, whose members have a comment."""
-
-    comment: str
-
-    def __new__(cls, value: int, comment: str) -> Self:
-        member = int.__new__(cls, value)
-        member._value_, member.comment = value, comment
-        return member
-
-
-class Status(_Enum):
-    """What functions of a kernel return, and, from 20 on, those of a C library; the comment is its message."""
-
-    OK = 0, "success"
-    CONSTRAINTS_DEPENDENT = 1, "the constraints' Jacobian has lost rank, or the constraints contradict each other"
-    MASS_SINGULAR = 2, "the mass matrix of the independent speeds is not positive definite"
-    NOT_FINITE = 3, "a parameter, an input or a result is infinite or not a number"
-    NOT_CLOSED = 4, "no state nearby satisfies the constraints"
-    CONSTRAINTS_INDEPENDENT = 5, "there are more independent constraints than dependent speeds"
-    FORCES_UNDETERMINED = 6, "no unknown forces keep the auxiliary speeds zero, or many do"
-    FORCES_NOT_FOUND = 7, "Newton's method does not find the unknown forces"
-    INVALID_ARGUMENT = 20, "an argument is outside of its range"
-    STEP_TOO_SMALL = 21, "the required step size is less than the spacing between numbers"
-    TOO_MANY_STEPS = 22, "the largest number of steps is reached"
-    SINGULAR_POSITION = 23, "the mechanism reaches a singular position, where it may go on in more than one way"
-    SPEEDS_JUMP = (
-        24,
-        "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
-    )
+__all__ = [
+    "Breakpoints",
+    "Constraints",
+    "Dependencies",
+    "Drawing",
+    "Form",
+    "Formulas",
+    "Input",
+    "Json",
+    "Jump",
+    "Layout",
+    "Operations",
+    "Parameter",
+    "Point",
+    "PotentialEnergy",
+    "Shape",
+    "ShapeKind",
+]
 
 
-class Needs(_Enum):
-    """What a function of a kernel takes, besides time and parameters."""
+class Form(StrEnum):
+    """How accelerations are solved for."""
 
-    COORDINATES = 1, "q, the first entries of x."
-    STATE = 2, "All of x."
-    INPUTS = 4, "All inputs, not only those that prescribe motions."
-    ACCELERATIONS = 8, "u'."
-    MULTIPLIERS = 16, "lambda, and unknown forces that drive the motion behind it."
+    DENSE = "dense"
+    SPARSE = "sparse"
+    RECURSIVE = "recursive"
 
 
-_HELD = Needs.STATE | Needs.INPUTS | Needs.ACCELERATIONS | Needs.MULTIPLIERS
+class ShapeKind(StrEnum):
+    """What is drawn."""
+
+    GROUND = "ground"
+    LINK = "link"
+    SLIDER = "slider"
+    SPRING = "spring"
+    DAMPER = "damper"
+    ACTUATOR = "actuator"
+    LINE = "line"
 
 
-class Role(_Enum):
-    """What a function of a kernel computes: its place in the table of functions."""
+FORMAT = 19
+"""Of the manifest's JSON text."""
 
-    needs: int
-    """Of `Needs`, in any combination."""
+NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
+"""Parts of the manifest that the C code does not depend on, besides the parameters' values, units and descriptions."""
 
-    def __new__(cls, needs: int, comment: str) -> Self:
-        """A member with the next number."""
-        member = int.__new__(cls, len(cls.__members__))
-        member._value_, member.needs, member.comment = len(cls.__members__), needs, comment
-        return member
+Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
+"""What JSON can hold."""
 
-    BREAKPOINTS = 0, "Times at which expressions have a jump or a kink."
-    DEFAULT_INPUTS = 0, "The inputs' expressions; NaN for inputs without one."
-    DYNAMICS = Needs.STATE | Needs.INPUTS, "q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0."
-    POSITION = Needs.COORDINATES, "Holonomic constraints Phi(q, t) and dPhi/dq."
-    VELOCITY = Needs.STATE, "J and b of the velocity constraints J u + b = 0."
-    CONSTRAINT_VIOLATION = Needs.STATE, "w of J v = -w, which corrects Phi, then the invariants; J u + b."
-    CONSTRAINT_SCALE = (
-        Needs.STATE,
-        "Rounding errors, over the precision of double, of Phi and of both results of constraint_violation.",
-    )
-    INVARIANT_CORRECTION = Needs.COORDINATES, "The change of q that corrects the invariants."
-    COORDINATE_CHANGE = (
-        Needs.STATE | Needs.INPUTS,
-        "K v, the change of q for a change v of the speeds' integrals, for q' = K u + k.",
-    )
-    ENERGY = Needs.STATE, "Kinetic and potential energy."
-    OUTPUT = _HELD, "The outputs."
-    STATE_RATES = _HELD, "z'."
-    UNKNOWN_FORCES = (
-        Needs.STATE | Needs.INPUTS,
-        "F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0.",
-    )
-    # In the part `derivatives`.
-    DRAWING = Needs.STATE, "Positions of drawn points, and the inputs' forces on them."
-    MOTION = Needs.STATE | Needs.ACCELERATIONS, "q''; velocities and accelerations of drawn points."
-    STATE_PARTIALS = _HELD, "d/dx of q' and of the residual, with u' and lambda held."
-    PARAMETER_PARTIALS = _HELD, "d/dp of q' and of the residual, with u' and lambda held."
-    INPUT_PARTIALS = _HELD, "d/dr of q' and of the residual, with u' and lambda held."
-    DEFAULT_INPUT_PARTIALS = 0, "d/dp of the inputs' expressions; zero without one."
-    CONSTRAINT_PARTIALS = Needs.STATE, "d(J u + b)/dq, dPhi/dr and d(J u + b)/dr."
-    STATE_RATE_PARTIALS = _HELD, "dz'/du' and dz'/dlambda."
-    OUTPUT_STATE_PARTIALS = _HELD, "d/dx of the outputs, with u' and lambda held."
-    OUTPUT_PARAMETER_PARTIALS = _HELD, "d/dp of the outputs, with u' and lambda held."
-    OUTPUT_INPUT_PARTIALS = _HELD, "d/dr of the outputs, with u' and lambda held."
-    OUTPUT_SOLUTION_PARTIALS = _HELD, "d/du' and d/dlambda of the outputs."
-    # In the part `variations`.
-    RESIDUAL_JVP = _HELD, "The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held."
-    CONSTRAINT_JVP = Needs.STATE, "The JVP of constraint_violation along directions of (x, p, r)."
-    RESIDUAL_VJP = _HELD, "The gradient with respect to (x, p, r) of weights times q' and the residual."
-    CONSTRAINT_VJP = Needs.STATE, "The gradient with respect to (x, p, r) of weights times constraint_violation."
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter.
+
+    Attributes
+    ----------
+    name : str
+    default : float or None
+    unit, description : str
+    range : tuple of float or None
+        Its least and largest value.
+    """
+
+    name: str
+    default: float | None
+    unit: str
+    description: str
+    range: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input, or a rate of one that prescribes a motion.
+
+    Attributes
+    ----------
+    name : str
+    expression : str or None
+        What it is where it is not given.
+    of : str
+        The name of the input of which it is a rate; its own otherwise.
+    order : int
+        Of the rate: 0 for an input itself.
+    moves : bool
+        Whether positions, velocities or constraints depend on it.
+    """
+
+    name: str
+    expression: str | None
+    of: str
+    order: int
+    moves: bool
+
+
+@dataclass(frozen=True)
+class Formulas:
+    """Expressions as plain data; see ``expressions/formulas.py``.
+
+    Attributes
+    ----------
+    operations : sequence of list
+        Each refers to earlier ones by their numbers.
+    results : sequence of list
+        An operation and a factor for each expression.
+    """
+
+    operations: Sequence[Json]
+    results: Sequence[Json]
+
+
+@dataclass(frozen=True)
+class Constraints:
+    """Position and velocity constraints.
+
+    Attributes
+    ----------
+    positions : Formulas
+        Phi.
+    position_rows : tuple of (int or None)
+        For each position constraint the row of J that keeps it; None for invariants and redundant constraints.
+    invariants : tuple of int
+        The position constraints whose rates are zero for all speeds.
+    are_stated : bool
+        Whether the model states velocity constraints of its own for position constraints.
+    velocity_rows : tuple of int
+        The rows of J that keep no position constraint.
+    """
+
+    positions: Formulas
+    position_rows: tuple[int | None, ...]
+    invariants: tuple[int, ...]
+    are_stated: bool
+    velocity_rows: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Jump:
+    """A function of the state at which the equations of motion, or the expression of an input, jump.
+
+    Attributes
+    ----------
+    function : str
+        Such as "sign of u1".
+    input : str
+        The name of the input in whose expression it stands, or "".
+    by_default : bool
+        Whether it jumps with the known values of parameters, not only with others.
+    known : bool
+        Whether it is known that it jumps: not where the rows have no real value at any of the random states.
+    """
+
+    function: str
+    input: str
+    by_default: bool
+    known: bool
+
+
+@dataclass(frozen=True)
+class Breakpoints:
+    """Where expressions are not smooth.
+
+    Attributes
+    ----------
+    n : int
+        Times at which expressions have a jump or a kink, as far as these follow from parameters.
+    n_of_motions : int
+        How many of them, the first ones, are those of positions or velocities.
+    jumps : tuple of Jump
+        At times that are not known beforehand.
+    """
+
+    n: int
+    n_of_motions: int
+    jumps: tuple[Jump, ...]
+
+
+@dataclass(frozen=True)
+class Point:
+    """A drawn point.
+
+    Attributes
+    ----------
+    name : str
+        Empty for some.
+    body : str or None
+        The body whose mass centre it is.
+    """
+
+    name: str
+    body: str | None
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A part of the picture.
+
+    Attributes
+    ----------
+    kind : ShapeKind
+    name : str
+        That of the bodies, or of the frame of a link without mass.
+    points : tuple of int
+        Numbers of drawn points. The ground and links have any number, with constant distances. A slider has three: the
+        one that slides, one on its guide, and one in the direction of the guide from there. The others go from point to
+        point.
+    """
+
+    kind: ShapeKind
+    name: str
+    points: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """The picture.
+
+    Attributes
+    ----------
+    points : tuple of Point
+    shapes : tuple of Shape
+    not_drawn : tuple of str
+        Points whose position relative to a fixed point is not known.
+    forced_points : tuple of int
+        Those on which forces of inputs act.
+    gravity : tuple of float or None
+        Its direction.
+    """
+
+    points: tuple[Point, ...]
+    shapes: tuple[Shape, ...]
+    not_drawn: tuple[str, ...]
+    forced_points: tuple[int, ...]
+    gravity: tuple[float, ...] | None
+
+
+@dataclass(frozen=True)
+class PotentialEnergy:
+    """What is known of the potential energy.
+
+    Attributes
+    ----------
+    is_known : bool
+    without : tuple of str
+        Springs that it leaves out.
+    """
+
+    is_known: bool
+    without: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Dependencies:
+    """What depends on what.
+
+    Attributes
+    ----------
+    rows : dict of str to tuple of int
+        For each row of a result what it depends on, as bits: x, p, r, u', the multipliers, and t.
+    timed : tuple of str
+        Parameters and inputs in terms that depend on time explicitly, or by an input's expression.
+    timed_by : dict of str to tuple of str
+        Those in terms that depend on each input.
+    """
+
+    rows: Mapping[str, tuple[int, ...]]
+    timed: tuple[str, ...]
+    timed_by: Mapping[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True)
+class Operations:
+    """Numbers of operations of functions, by their names; of products with directions for one direction.
+
+    Attributes
+    ----------
+    counts : dict of str to int
+    before_sharing : dict of str to int
+        If every result were written out in full, without common subexpressions.
+    """
+
+    counts: Mapping[str, int]
+    before_sharing: Mapping[str, int]
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The description of a compiled model: what its arrays hold, in order, and what is known of it.
+
+    Attributes
+    ----------
+    name : str
+    fingerprint : str
+        The digest of everything that the model's equations depend on.
+    form : Form
+    coordinates, speeds : tuple of str
+        Names; independent ones first.
+    auxiliary_states : tuple of str
+    n_dependent_coordinates, n_dependent_speeds : int
+    angles : tuple of str
+        The coordinates that are angles.
+    parameters : tuple of Parameter
+    derived_parameters : dict of str to str
+        Expressions of other parameters.
+    geometry : tuple of str
+        The parameters that positions, velocity constraints and q' depend on: lengths, not masses.
+    inputs : tuple of Input
+    outputs, undetermined_outputs : tuple of str
+        Names; those with multipliers that redundant constraints leave undetermined.
+    constraints : Constraints
+    breakpoints : Breakpoints
+    drawing : Drawing
+    potential_energy : PotentialEnergy
+    initial : dict of str to float
+        Values of coordinates, speeds and auxiliary states, as far as the model has them.
+    warnings : tuple of str
+    compared : int or None
+        At how many random states the compiled functions were compared with the equations.
+    dependencies : Dependencies
+    operations : Operations
+    """
+
+    name: str
+    fingerprint: str
+    form: Form
+    coordinates: tuple[str, ...]
+    speeds: tuple[str, ...]
+    auxiliary_states: tuple[str, ...]
+    n_dependent_coordinates: int
+    n_dependent_speeds: int
+    angles: tuple[str, ...]
+    parameters: tuple[Parameter, ...]
+    derived_parameters: Mapping[str, str]
+    geometry: tuple[str, ...]
+    inputs: tuple[Input, ...]
+    outputs: tuple[str, ...]
+    undetermined_outputs: tuple[str, ...]
+    constraints: Constraints
+    breakpoints: Breakpoints
+    drawing: Drawing
+    potential_energy: PotentialEnergy
+    initial: Mapping[str, float]
+    warnings: tuple[str, ...]
+    compared: int | None
+    dependencies: Dependencies
+    operations: Operations
 
     @property
-    def part(self) -> str:
-        """Where the function is: in the ``kernel``, or in a part that may be compiled later."""
-        if self < Role.DRAWING:
-            return "kernel"
-        return "derivatives" if self < Role.RESIDUAL_JVP else "variations"
+    def states(self) -> tuple[str, ...]:
+        """Names of the coordinates, the speeds and the auxiliary states."""
+        return (*self.coordinates, *self.speeds, *self.auxiliary_states)
+
+    @property
+    def n_independent_coordinates(self) -> int:
+        """The number of coordinates, which come first, that do not follow from the others."""
+        return len(self.coordinates) - self.n_dependent_coordinates
+
+    @property
+    def n_independent_speeds(self) -> int:
+        """The number of speeds, which come first, that do not follow from the others."""
+        return len(self.speeds) - self.n_dependent_speeds
+
+    @cached_property
+    def prescribed(self) -> tuple[str, ...]:
+        """The inputs that prescribe a motion, in order."""
+        moving = {entry.of for entry in self.inputs if entry.moves}
+        return tuple(dict.fromkeys(entry.of for entry in self.inputs if entry.order or entry.of in moving))
+
+    @property
+    def prescribed_places(self) -> list[int]:
+        """Numbers of the inputs, also of rates, that positions, velocities or constraints depend on."""
+        return [place for place, entry in enumerate(self.inputs) if entry.moves]
+
+    @cached_property
+    def has_rates(self) -> frozenset[str]:
+        """The inputs whose rates are inputs too."""
+        return frozenset(entry.of for entry in self.inputs if entry.order)
+
+    @property
+    def structure(self) -> dict[str, Json]:
+        """What the C code depends on, as data for JSON; see `numbers`."""
+        data = self.to_json()
+        parameters: list[Json] = [{"name": parameter.name} for parameter in self.parameters]
+        return {key: value for key, value in data.items() if key not in NUMBERS} | {"parameters": parameters}
+
+    @property
+    def numbers(self) -> dict[str, Json]:
+        """The rest, which other models with the same C code may have otherwise."""
+        data = self.to_json()
+        parameters: list[Json] = [
+            {"default": p.default, "unit": p.unit, "description": p.description, "range": _listed(p.range)}
+            for p in self.parameters
+        ]
+        return {key: data[key] for key in NUMBERS} | {"parameters": parameters}
+
+    @classmethod
+    def from_parts(cls, structure: str | bytes, numbers: str | bytes) -> Self:
+        """That of `structure` and `numbers`, as JSON text.
+
+        Raises
+        ------
+        ModelError, TypeError, KeyError, ValueError
+            If a part is missing or of another kind.
+        """
+        data, more = _object(json.loads(structure)), _object(json.loads(numbers))
+        pairs = zip(_list(data["parameters"]), _list(more["parameters"]), strict=True)
+        parameters: list[Json] = [{**_object(name), **_object(values)} for name, values in pairs]
+        return cls.from_json({**data, **more, "parameters": parameters})
+
+    @classmethod
+    def from_text(cls, text: str | bytes) -> Self:
+        """That of JSON text.
+
+        Raises
+        ------
+        ModelError, TypeError, KeyError, ValueError
+            If it is not a manifest, or one of another version of this package.
+        """
+        return cls.from_json(_object(json.loads(text)))
+
+    def to_text(self) -> str:
+        """JSON text, as written beside the sources."""
+        return json.dumps(self.to_json(), indent=2, ensure_ascii=True, allow_nan=False) + "\n"
+
+    def to_json(self) -> dict[str, Json]:
+        """The layout as data that JSON can hold."""
+        constraints, drawing = self.constraints, self.drawing
+        return {
+            "format": FORMAT,
+            "name": self.name,
+            "fingerprint": self.fingerprint,
+            "coordinates": [*self.coordinates],
+            "angles": [*self.angles],
+            "speeds": [*self.speeds],
+            "auxiliary_states": [*self.auxiliary_states],
+            "n_dependent_coordinates": self.n_dependent_coordinates,
+            "n_dependent_speeds": self.n_dependent_speeds,
+            "parameters": [
+                {"name": p.name, "default": p.default, "unit": p.unit, "description": p.description}
+                | {"range": _listed(p.range)}
+                for p in self.parameters
+            ],
+            "derived_parameters": {**self.derived_parameters},
+            "inputs": [{"name": e.name, "expression": e.expression, "of": e.of, "order": e.order} for e in self.inputs],
+            "moving_inputs": [*self.prescribed_places],
+            "n_breakpoints": self.breakpoints.n,
+            "n_jumps": self.breakpoints.n_of_motions,
+            "outputs": [*self.outputs],
+            "open_outputs": [*self.undetermined_outputs],
+            "position_constraints": {
+                "operations": [*constraints.positions.operations],
+                "results": [*constraints.positions.results],
+            },
+            "points": [{"name": point.name, "body": point.body} for point in drawing.points],
+            "geometry": [*self.geometry],
+            "shapes": [{"kind": s.kind.value, "name": s.name, "points": [*s.points]} for s in drawing.shapes],
+            "not_drawn": [*drawing.not_drawn],
+            "gravity": _listed(drawing.gravity),
+            "forced_points": [*drawing.forced_points],
+            "initial": {**self.initial},
+            "invariants": [*constraints.invariants],
+            "position_rows": [*constraints.position_rows],
+            "states_velocity_constraints": constraints.are_stated,
+            "velocity_rows": [*constraints.velocity_rows],
+            "warnings": [*self.warnings],
+            "compared": self.compared,
+            "has_potential_energy": self.potential_energy.is_known,
+            "energy_without": [*self.potential_energy.without],
+            "form": self.form.value,
+            "jumps": [
+                {"function": j.function, "input": j.input, "by_default": j.by_default, "known": j.known}
+                for j in self.breakpoints.jumps
+            ],
+            "dependencies": {name: [*map(hex, rows)] for name, rows in self.dependencies.rows.items()},
+            "timed": [*self.dependencies.timed],
+            "timed_by": {name: [*others] for name, others in self.dependencies.timed_by.items()},
+            "operations_before_sharing": {**self.operations.before_sharing},
+            "operations": {**self.operations.counts},
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping[str, Json]) -> Self:
+        """The layout of data that `to_json` has made.
+
+        Raises
+        ------
+        ModelError
+            If another version of this package has made it.
+        TypeError, KeyError, ValueError
+            If a part is missing or of another kind.
+        """
+        if data["format"] != FORMAT:
+            raise ModelError(
+                f"The compiled model {data['name']} was built with another version of this package, whose manifest has "
+                f"format {data['format']!r}, not {FORMAT}: build it again."
+            )
+        moving = _each(int, data["moving_inputs"])
+        formulas = _object(data["position_constraints"])
+        dependencies, timed_by = _object(data["dependencies"]), _object(data["timed_by"])
+        gravity = data["gravity"]
+        return cls(
+            name=_one(str, data["name"]),
+            fingerprint=_one(str, data["fingerprint"]),
+            form=Form(_one(str, data["form"])),
+            coordinates=_each(str, data["coordinates"]),
+            speeds=_each(str, data["speeds"]),
+            auxiliary_states=_each(str, data["auxiliary_states"]),
+            n_dependent_coordinates=_one(int, data["n_dependent_coordinates"]),
+            n_dependent_speeds=_one(int, data["n_dependent_speeds"]),
+            angles=_each(str, data["angles"]),
+            parameters=tuple(_parameter(_object(entry)) for entry in _list(data["parameters"])),
+            derived_parameters=_by_name(str, data["derived_parameters"]),
+            geometry=_each(str, data["geometry"]),
+            inputs=tuple(_input(_object(e), place in moving) for place, e in enumerate(_list(data["inputs"]))),
+            outputs=_each(str, data["outputs"]),
+            undetermined_outputs=_each(str, data["open_outputs"]),
+            constraints=Constraints(
+                positions=Formulas(_list(formulas["operations"]), _list(formulas["results"])),
+                position_rows=tuple(None if r is None else _one(int, r) for r in _list(data["position_rows"])),
+                invariants=_each(int, data["invariants"]),
+                are_stated=_one(bool, data["states_velocity_constraints"]),
+                velocity_rows=_each(int, data["velocity_rows"]),
+            ),
+            breakpoints=Breakpoints(
+                n=_one(int, data["n_breakpoints"]),
+                n_of_motions=_one(int, data["n_jumps"]),
+                jumps=tuple(_jump(_object(entry)) for entry in _list(data["jumps"])),
+            ),
+            drawing=Drawing(
+                points=tuple(_point(_object(entry)) for entry in _list(data["points"])),
+                shapes=tuple(_shape(_object(entry)) for entry in _list(data["shapes"])),
+                not_drawn=_each(str, data["not_drawn"]),
+                forced_points=_each(int, data["forced_points"]),
+                gravity=None if gravity is None else _numbers(gravity),
+            ),
+            potential_energy=PotentialEnergy(
+                is_known=_one(bool, data["has_potential_energy"]), without=_each(str, data["energy_without"])
+            ),
+            initial={name: _number(value) for name, value in _object(data["initial"]).items()},
+            warnings=_each(str, data["warnings"]),
+            compared=None if data["compared"] is None else _one(int, data["compared"]),
+            dependencies=Dependencies(
+                rows={name: tuple(int(row, 16) for row in _each(str, rows)) for name, rows in dependencies.items()},
+                timed=_each(str, data["timed"]),
+                timed_by={name: _each(str, others) for name, others in timed_by.items()},
+            ),
+            operations=Operations(
+                counts=_by_name(int, data["operations"]),
+                before_sharing=_by_name(int, data["operations_before_sharing"]),
+            ),
+        )
 
 
-def enums_text() -> str:
-    """The C header with the enumerations."""
-    constants = (
-        ("FB_DIRECTIONS", DIRECTIONS, "The most columns of directions of JVPs."),
-        ("FB_VECTOR", VECTOR, "The columns of a vector."),
+_T = TypeVar("_T", str, int, bool)
+
+
+def _one(kind: type[_T], value: Json) -> _T:
+    if not isinstance(value, kind):
+        raise TypeError(f"{value!r} is no {kind.__name__}")
+    return value
+
+
+def _each(kind: type[_T], value: Json) -> tuple[_T, ...]:
+    return tuple(_one(kind, entry) for entry in _list(value))
+
+
+def _by_name(kind: type[_T], value: Json) -> dict[str, _T]:
+    return {name: _one(kind, entry) for name, entry in _object(value).items()}
+
+
+def _list(value: Json) -> list[Json]:
+    if not isinstance(value, list):
+        raise TypeError(f"{value!r} is no list")
+    return value
+
+
+def _object(value: Json) -> dict[str, Json]:
+    if not isinstance(value, dict):
+        raise TypeError(f"{value!r} is no object")
+    return value
+
+
+def _number(value: Json) -> float:
+    if not isinstance(value, int | float):
+        raise TypeError(f"{value!r} is no number")
+    return value
+
+
+def _numbers(value: Json) -> tuple[float, ...]:
+    return tuple(map(_number, _list(value)))
+
+
+def _listed(values: Sequence[float] | None) -> Json:
+    return None if values is None else [*values]
+
+
+def _parameter(entry: Mapping[str, Json]) -> Parameter:
+    default, span = entry["default"], entry["range"]
+    limits = None
+    if span is not None:
+        least, largest = _numbers(span)
+        limits = least, largest
+    return Parameter(
+        _one(str, entry["name"]),
+        None if default is None else _number(default),
+        _one(str, entry["unit"]),
+        _one(str, entry["description"]),
+        limits,
     )
-    texts = [f"enum {{ {name} = {value} }}; /* {comment} */" for name, value, comment in constants]
-    for kind, name, prefix in ((Status, "FB_STATUS", "FB"), (Role, "FB_ROLE", "FB"), (Needs, "FB_NEEDS", "FB_NEEDS")):
-        rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
-        rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []
-        texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
-    cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)
-    texts.append(f"""\
-static inline const char *fb_message(const int status)
-{{
-    switch (status) {{
-{cases}
-    default: return "unknown status";
-    }}
-}}""")
-    body = "\n\n".join(texts)
-    return f"""\
-/* Enumerations that C and Python share, written by `python -m fourbar_codegen.layout`. */
-#ifndef FOURBAR_ENUMS_H
-#define FOURBAR_ENUMS_H
-
-/* clang-format off */
-{body}
-/* clang-format on */
-
-#endif
-"""
 
 
-if __name__ == "__main__":
-    Path(__file__).with_name("runtime").joinpath("fourbar_enums.h").write_text(enums_text(), encoding="utf-8")
+def _input(entry: Mapping[str, Json], moves: bool) -> Input:
+    expression = entry["expression"]
+    return Input(
+        _one(str, entry["name"]),
+        None if expression is None else _one(str, expression),
+        _one(str, entry["of"]),
+        _one(int, entry["order"]),
+        moves,
+    )
+
+
+def _jump(entry: Mapping[str, Json]) -> Jump:
+    by_default, known = _one(bool, entry["by_default"]), _one(bool, entry["known"])
+    return Jump(_one(str, entry["function"]), _one(str, entry["input"]), by_default, known)
+
+
+def _point(entry: Mapping[str, Json]) -> Point:
+    body = entry["body"]
+    return Point(_one(str, entry["name"]), None if body is None else _one(str, body))
+
+
+def _shape(entry: Mapping[str, Json]) -> Shape:
+    return Shape(ShapeKind(_one(str, entry["kind"])), _one(str, entry["name"]), _each(int, entry["points"]))

@@ -23,7 +23,7 @@ from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.expressions.tape import Result, Scalar
 from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.layout import Role
+from fourbar_codegen.roles import Role
 
 __all__ = ["NEAR", "STATES", "verify"]
 
@@ -110,7 +110,7 @@ def _random_values(
     leaves = (v.time, *v.state, *v.inputs, *v.accelerations, *v.multipliers)
     values = {leaf: generator.uniform(-1.0, 1.0) for leaf in leaves}
     if near is not None:
-        initial = compiled.manifest["initial"]
+        initial = compiled.layout.initial
         for leaf, name in zip(v.state, compiled.states, strict=True):
             values[leaf] = near * values[leaf] + initial.get(name, 0.0)
     for leaf, default in zip(v.parameters, compiled.defaults.values(), strict=True):
@@ -250,9 +250,9 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
     """
     # Only with redundant constraints can the rank be too large. Coordinates with relations of their own, such as
     # quaternions, would lose these while loops are closed.
-    if compiled.n_c == compiled.manifest["n_dependent_speeds"] or compiled.n_q != compiled.n_u:
+    if compiled.n_c == compiled.layout.n_dependent_speeds or compiled.n_q != compiled.n_u:
         return
-    initial = compiled.manifest["initial"]
+    initial = compiled.layout.initial
     ranks = []
     for _ in range(CLOSURES):
         values = _random_values(e, compiled, generator)
@@ -264,7 +264,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
         jacobian, _ = compiled.velocity(t, np.concatenate((closed, np.zeros(compiled.n_x - compiled.n_q))), p, r)
         if np.isfinite(jacobian).all():
             ranks.append(int(np.linalg.matrix_rank(jacobian / row_sizes(jacobian), rtol=INDEPENDENT)))
-    if min(ranks, default=0) > compiled.manifest["n_dependent_speeds"]:
+    if min(ranks, default=0) > compiled.layout.n_dependent_speeds:
         raise ModelError(compiled.too_few_dependent("at states that satisfy the position constraints", min(ranks)))
 
 

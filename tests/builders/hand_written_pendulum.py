@@ -11,6 +11,7 @@ from scipy.special import ellipj, ellipk
 
 from fourbar_codegen.compiled import CompiledModel
 from fourbar_codegen.kernel.loading import Loaded
+from fourbar_codegen.layout import Layout
 from fourbar_codegen.runtime.evaluator import kernel_at
 
 LENGTH, GRAVITY, MASS = 0.8, 9.81, 1.5
@@ -69,6 +70,7 @@ def manifest(rows):
         "states_velocity_constraints": False,
         "velocity_rows": [],
         "warnings": [],
+        "compared": None,
         "has_potential_energy": True,
         "energy_without": [],
         "form": "dense",
@@ -90,7 +92,7 @@ def manifest(rows):
 def loaded_pendulum(path, rows=1):
     """The compiled model in a shared library, which stays loaded."""
     kernel = ctypes.addressof(ctypes.c_char.in_dll(ctypes.CDLL(str(path)), "pendulum_kernel"))
-    return CompiledModel.from_loaded(Loaded(kernel_at(kernel), manifest(rows), path))
+    return CompiledModel.from_loaded(Loaded(kernel_at(kernel), Layout.from_json(manifest(rows)), path))
 
 
 class Swing(NamedTuple):

@@ -125,7 +125,7 @@ def test_shipped_module_on_older_processors_selects_its_version(tutorial, proces
 def test_versions_of_a_kernel_for_each_instruction_set_give_the_same_rates(four_bar, tutorial, tmp_path, built):
     path = four_bar.path if built == "installed" else fb.build_model(fb.models.four_bar(), tmp_path)
     loaded = load_file(path)
-    models = [CompiledModel(kernel, loaded.manifest) for kernel in versions(loaded.kernel)]
+    models = [CompiledModel(kernel, loaded.layout) for kernel in versions(loaded.kernel)]
     assert [model.instructions for model in models] == ["baseline", "avx2", "avx512"][: len(models)]
     assert fb.load(path).instructions == models[-1].instructions
     if platform.machine() == "x86_64":

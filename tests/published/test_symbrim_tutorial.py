@@ -89,7 +89,7 @@ def test_code_of_a_live_page_closes_the_loop_and_has_the_printed_rates(tmp_path,
     for suffix in SOURCES:
         (tmp_path / f"four_bar{suffix}").write_text(sources[f"four_bar{suffix}"])
     main = tmp_path / "four_bar_page.c"
-    main.write_text(page_source("four_bar", four_bar.manifest))
+    main.write_text(page_source("four_bar", four_bar.layout))
     command = ("gcc", "-std=c11", "-O1", "-fPIC", "-shared", "-Wno-attributes", "-lm")
     compile_c(command, [main], tmp_path / "page.so", [fb.get_include(), tmp_path])
     page = ctypes.CDLL(str(tmp_path / "page.so"))

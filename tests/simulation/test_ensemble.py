@@ -220,7 +220,7 @@ def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
     x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
     reference = np.array([four_bar.rhs(0.3, column) for column in x.T]).T
     for kernel in versions(load_file(four_bar.path).kernel):
-        model = CompiledModel(kernel, four_bar.manifest)
+        model = CompiledModel(kernel, four_bar.layout)
         np.testing.assert_allclose(model.rhs_batch(0.3, x), reference, rtol=1e-11, atol=1e-11)
 
 

@@ -133,7 +133,7 @@ class AssemblyModes:
         """The degree of freedom that is left, in words; empty if `free` is."""
         if not self.free:
             return ""
-        held = self.model.coordinates[: self.model.n_q - self.model.manifest["n_dependent_coordinates"]]
+        held = self.model.coordinates[: self.model.layout.n_independent_coordinates]
         moving = f"{', '.join(self.free)} move{'s' if len(self.free) == 1 else ''}"
         fixed = f"{', '.join(held) or 'nothing'} {'are' if len(held) > 1 else 'is'} held"
         return f"a degree of freedom is left: {moving} while {fixed}"

@@ -133,7 +133,7 @@ def read_drive(
     t: float,
 ) -> Drive:
     """The arguments of `CompiledModel.kinematics`, checked, with coordinates before inputs."""
-    if model.n_c > len([row for row in model.manifest["position_rows"] if row is not None]):
+    if model.n_c > len([row for row in model.layout.constraints.position_rows if row is not None]):
         raise ModelError(f"{model.name} has nonholonomic constraints: its positions do not follow from a drive.")
     sources = [name for name in model.prescribed if f"{name}''" in model.inputs]
     known = [*model.coordinates, *sources]
@@ -153,7 +153,7 @@ def read_drive(
     without_value = (*without_value, *unset)
     path = np.array([values[name] for name in names])
     coordinates = tuple(model.coordinates.index(name) for name in names if name in model.coordinates)
-    start = np.array([model.manifest["initial"].get(name, 0.0) for name in model.coordinates])
+    start = np.array([model.layout.initial.get(name, 0.0) for name in model.coordinates])
     angles = Loops(model, t, start, p, r).angles
     scales = np.where(angles, 1.0, mechanism_size(model, t, start, p, r))
     units = np.array([scales[model.coordinates.index(n)] if n in model.coordinates else 1.0 for n in names])
@@ -218,7 +218,7 @@ def _parameters(model: Kernel, given: Values | None) -> tuple[Floats, tuple[str,
         return named_array(given, model.parameters, {}, "parameter"), ()
     values: dict[str, Any] = {**model.defaults, **named(given or {}, model.parameters, "parameter")}
     without = tuple(name for name, value in values.items() if value is None)
-    missing = [name for name in without if name in model.manifest["geometry"]]
+    missing = [name for name in without if name in model.layout.geometry]
     if missing:
         raise ModelError(
             f"Positions depend on {', '.join(missing)}, which have no default: give values in parameters=."
@@ -236,9 +236,9 @@ def _inputs(
     for name, value in (model.rates_at_rest(values) | values).items():
         r[model.inputs.index(name)] = finite_number(value, f"input {name}")
     unset = [place for place, value in enumerate(r) if not np.isfinite(value)]
-    entries = [model.manifest["inputs"][place] for place in unset]
-    needed = [e["name"] for e in entries if e["of"] in model.prescribed and e["of"] not in driven]
+    entries = [model.layout.inputs[place] for place in unset]
+    needed = [e.name for e in entries if e.of in model.prescribed and e.of not in driven]
     if needed:
         raise ModelError(f"Positions and their rates depend on {', '.join(needed)}: give values in inputs=.")
     r[unset] = 0.0
-    return r, tuple(entry["name"] for entry in entries if entry["of"] not in driven)
+    return r, tuple(entry.name for entry in entries if entry.of not in driven)

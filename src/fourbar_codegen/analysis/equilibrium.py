@@ -48,7 +48,7 @@ def equilibrium(
 
     if not model.n_q:
         raise ModelError(f"The model {model.name} has no coordinates, so it has no equilibrium to search for.")
-    if model.n_q - model.manifest["n_dependent_coordinates"] > model.n_u:
+    if model.layout.n_independent_coordinates > model.n_u:
         raise ModelError(
             f"The model {model.name} has more independent coordinates than speeds, so an equilibrium does not "
             "determine them. Make the relation between them (such as the norm of a quaternion) a holonomic constraint."
@@ -59,7 +59,7 @@ def equilibrium(
             "An equilibrium can be searched with inputs that are numbers, tables or expressions, not callables."
         )
     names, n_q, last = (*model.coordinates, *model.auxiliary_states), model.n_q, model.n_q + model.n_u
-    defaults = {**dict.fromkeys(names, 0.0), **model.manifest["initial"]}
+    defaults = {**dict.fromkeys(names, 0.0), **model.layout.initial}
     start = named_array(guess, names, {n: defaults[n] for n in names}, "coordinate or auxiliary state")
     p = model.parameter_vector(parameters)
     r = bind(model, p, inputs).input_values(t, np.zeros(model.n_x))
@@ -93,9 +93,9 @@ def equilibrium(
         return np.vstack((constraints, rates, weights @ accelerations, state_rates))
 
     begin = start
-    if model.n_h and model.manifest["n_dependent_speeds"] < model.n_c:
+    if model.n_h and model.layout.n_dependent_speeds < model.n_c:
         # Where loops are open, redundant constraints are independent, and the equations have no solution.
-        n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+        n_qi = model.layout.n_independent_coordinates
         loops = Loops(model, t, start[:n_qi], p, r)
         dependent = loops.search(start[n_qi:n_q])
         begin = start if dependent is None else np.concatenate((loops.coordinates(dependent), start[n_q:]))
@@ -103,7 +103,7 @@ def equilibrium(
     # the metric of the mass matrix, relative to their norm at the start of the search.
     size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
     size[~(size > 0.0)] = 1.0
-    angles = np.array([name in model.manifest["angles"] for name in model.coordinates], dtype=bool)
+    angles = np.array([name in model.layout.angles for name in model.coordinates], dtype=bool)
     # A displacement's own value may be nearly zero, and components of quaternions have no length.
     displacement = np.abs(begin[:n_q][~angles]).max(initial=mechanism_size(model, t, begin[:n_q], p, r))
     units = np.concatenate((np.where(angles, 1.0, displacement), np.abs(begin[n_q:]) + (begin[n_q:] == 0.0)))

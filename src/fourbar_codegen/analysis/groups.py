@@ -40,14 +40,14 @@ EPS = float(np.finfo(float).eps)
 def leaf_values(loops: Loops) -> dict[tuple[str, str], float]:
     """Values of the leaves of the constraints' formulas, with dependent coordinates of 1 until they are known."""
     model = loops.model
-    parameters, inputs = model.manifest["parameters"], model.manifest["inputs"]
-    p = [entry["default"] for entry in parameters] if loops.p is None else loops.p
+    parameters, inputs = model.layout.parameters, model.layout.inputs
+    p = [entry.default for entry in parameters] if loops.p is None else loops.p
     r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
     q = loops.coordinates(np.ones(loops.n_dependent))
     values = {("t", ""): loops.t}
     values |= {("q", name): value for name, value in zip(model.coordinates, q, strict=True)}
-    values |= {("p", entry["name"]): value for entry, value in zip(parameters, p, strict=True)}
-    values |= {("r", entry["name"]): value for entry, value in zip(inputs, r, strict=True)}
+    values |= {("p", entry.name): value for entry, value in zip(parameters, p, strict=True)}
+    values |= {("r", entry.name): value for entry, value in zip(inputs, r, strict=True)}
     return values
 
 
@@ -87,7 +87,7 @@ class Chart:
     def of(cls, loops: Loops, start: Floats, generator: np.random.Generator) -> Chart:
         """A chart from the structure of the constraints, and their values at random coordinates."""
         rows = range(loops.model.n_h)
-        constraints = Constraints(loops.model.manifest["position_constraints"], leaf_values(loops))
+        constraints = Constraints(loops.model.layout.constraints.positions, leaf_values(loops))
         names = loops.names
         given = [name for name in loops.model.coordinates if name not in names]
         # Independent angles between -pi and pi, since sines of large ones have fewer digits in double precision.

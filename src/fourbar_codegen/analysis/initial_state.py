@@ -80,8 +80,8 @@ def _check_initial_speeds(loops: Loops, x: Floats) -> None:
 
     They belong to its own parameters, prescribed motions and t = 0: with others, they are not looked at.
     """
-    model, known, n_q = loops.model, loops.model.manifest["initial"], loops.model.n_q
-    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    model, known, n_q = loops.model, loops.model.layout.initial, loops.model.n_q
+    n_ui = model.layout.n_independent_speeds
     dependent = [name for name in model.speeds[n_ui:] if name in known]
     if not dependent or loops.t != 0.0 or not _are_own(loops):
         return
@@ -124,7 +124,7 @@ def _are_own(loops: Loops) -> bool:
     own = np.array([*model.defaults.values()], dtype=float)
     pairs = [] if loops.p is None else [(loops.p, own)]
     if loops.r is not None:
-        moving = model.manifest["moving_inputs"]
+        moving = model.layout.prescribed_places
         pairs.append((loops.r[moving], model.default_inputs(loops.t, loops.p)[moving]))
     return all(bool((np.isnan(expected) | (values == expected)).all()) for values, expected in pairs)
 
@@ -139,8 +139,8 @@ def nearby_state(
     AssemblyError
         As `initial_state`.
     """
-    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
-    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
+    n_qi = model.layout.n_independent_coordinates
+    n_ui = model.layout.n_independent_speeds
     q, u, z = x[: model.n_q], x[model.n_q : model.n_q + model.n_u], x[model.n_q + model.n_u :]
     loops = Loops(model, t, q[:n_qi], parameters, inputs_at(model, t, parameters, inputs))
     return _state(loops, q[n_qi:], True, None, u[:n_ui], z)
@@ -185,7 +185,7 @@ def initial_states(
 def _warn_of_degrees(model: Kernel, q_i: Floats) -> None:
     """Warn of angles beyond a turn that are a whole number of radians: they are rather degrees."""
     for name, value in zip(model.coordinates, q_i, strict=False):
-        if 2.0 * math.pi < abs(value) <= DEGREES and value == round(value) and name in model.manifest["angles"]:
+        if 2.0 * math.pi < abs(value) <= DEGREES and value == round(value) and name in model.layout.angles:
             warnings.warn(
                 f"{name} = {value:g} rad is more than a turn: angles are in radians. If {value:g} degrees are meant, "
                 f"give {math.radians(value):.6g}.",
@@ -196,7 +196,7 @@ def _warn_of_degrees(model: Kernel, q_i: Floats) -> None:
 
 def _auxiliary_values(model: Kernel, given: Values | None) -> Floats:
     """Values of the auxiliary states: as given, or the model's initial ones."""
-    return named_array(given, model.auxiliary_states, model.manifest["initial"], "auxiliary state")
+    return named_array(given, model.auxiliary_states, model.layout.initial, "auxiliary state")
 
 
 def _given(
@@ -209,9 +209,9 @@ def _given(
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Loops, Floats, Floats]:
     """The loops to be closed, the independent speeds, and the guess of the dependent coordinates."""
-    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
-    n_ui = model.n_u - model.manifest["n_dependent_speeds"]
-    initial = model.manifest["initial"]
+    n_qi = model.layout.n_independent_coordinates
+    n_ui = model.layout.n_independent_speeds
+    initial = model.layout.initial
     p = model.parameter_vector(parameters)
     given = {name_of(key) for key in coordinates} if is_mapping(coordinates) else set()
     misplaced = [name for name in model.coordinates[n_qi:] if name in given]
@@ -227,8 +227,8 @@ def _given(
 
 def dependent_guess(model: Kernel, guess: Values | None) -> Floats:
     """Starting values of the dependent coordinates, from those given, of the model, or 0."""
-    dependent = model.coordinates[model.n_q - model.manifest["n_dependent_coordinates"] :]
-    known = {**dict.fromkeys(dependent, 0.0), **model.manifest["initial"]}
+    dependent = model.coordinates[model.layout.n_independent_coordinates :]
+    known = {**dict.fromkeys(dependent, 0.0), **model.layout.initial}
     return named_array(guess, dependent, known, "dependent coordinate")
 
 
@@ -298,7 +298,7 @@ def _prescribed(loops: Loops) -> dict[str, float]:
     """The prescribed motions that positions depend on, by name."""
     model = loops.model
     r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
-    moving = [place for place in model.manifest["moving_inputs"] if not model.manifest["inputs"][place]["order"]]
+    moving = [place for place, entry in enumerate(model.layout.inputs) if entry.moves and not entry.order]
     return {model.inputs[place]: float(r[place]) for place in moving}
 
 

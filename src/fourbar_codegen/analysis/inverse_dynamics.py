@@ -158,12 +158,12 @@ class _Motion:
 
 def _names(model: Kernel) -> list[str]:
     """The inputs, without rates."""
-    return [entry["name"] for entry in model.manifest["inputs"] if not entry["order"]]
+    return [entry.name for entry in model.layout.inputs if not entry.order]
 
 
 def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource | Floats]) -> list[str]:
     """The names of the inputs to find, as many as there are degrees of freedom."""
-    freedom = model.n_u - model.manifest["n_dependent_speeds"]
+    freedom = model.layout.n_independent_speeds
     forces = [name for name in _names(model) if name not in model.prescribed]
     if find is None:
         names = [name for name in forces if name not in given]
@@ -196,13 +196,13 @@ def _listed(names: Iterable[str]) -> str:
 
 def _carried(model: Kernel, given: _Motion, others: Container[str]) -> dict[str, Floats]:
     """The values of inputs, and of their rates, that the motion brings along."""
-    entries = [entry for entry in model.manifest["inputs"] if entry["of"] not in others]
-    carried = {entry["name"]: given.inputs[entry["name"]] for entry in entries if entry["name"] in given.inputs}
+    entries = [entry for entry in model.layout.inputs if entry.of not in others]
+    carried = {entry.name: given.inputs[entry.name] for entry in entries if entry.name in given.inputs}
     for entry in entries:
-        if entry["of"] in carried and entry["name"] not in carried:
+        if entry.of in carried and entry.name not in carried:
             raise ModelError(
-                f"{given.source} tells {entry['of']}, but not {entry['name']}, which {model.name} needs: give "
-                f"{entry['of']} in inputs=."
+                f"{given.source} tells {entry.of}, but not {entry.name}, which {model.name} needs: give "
+                f"{entry.of} in inputs=."
             )
     return carried
 
@@ -248,12 +248,12 @@ def _check_time(
     t, known = float(given.times[0]), given.states[:, np.isfinite(given.states).all(axis=0)]
     of_time = dict(zip(model.inputs, _depend_on_time(model, "default_inputs"), strict=True))
     loads = []
-    for entry, default in zip(model.manifest["inputs"], model.default_inputs(t, p), strict=True):
-        name, source = entry["name"], sources.get(entry["name"])
+    for entry, default in zip(model.layout.inputs, model.default_inputs(t, p), strict=True):
+        name, source = entry.name, sources.get(entry.name)
         if callable(source):
             depends = _reads_time(source, t, known)
         else:
-            is_load = name not in unknown and entry["of"] not in model.prescribed
+            is_load = name not in unknown and entry.of not in model.prescribed
             is_default = source is None and bool(np.all(given.inputs.get(name, default) == default))
             depends = is_load and is_default and of_time[name]
         if depends:
@@ -272,7 +272,7 @@ def _check_time(
 def _depend_on_time(model: Kernel, result: str) -> list[bool]:
     """Which rows of a result depend on time, apart from inputs."""
     place = model.n_x + model.n_p + model.n_r + model.n_u + model.n_l
-    return [bool(int(mask, 16) >> place) for mask in model.manifest["dependencies"][result]]
+    return [bool(mask >> place) for mask in model.layout.dependencies.rows[result]]
 
 
 class _Clock:

@@ -54,8 +54,8 @@ def linearize(
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
     names = () if outputs is None else _names(model, outputs)
     n_q, n_r = model.n_q, model.n_r
-    n_qi = n_q - model.manifest["n_dependent_coordinates"]
-    n_ui, n_z = model.n_u - model.manifest["n_dependent_speeds"], model.n_z
+    n_qi = model.layout.n_independent_coordinates
+    n_ui, n_z = model.layout.n_independent_speeds, model.n_z
     require_closed(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
     # terms of the independent ones and the inputs. Each array has a column for each entry of dq_i, du_i, dz and dr.

@@ -15,10 +15,12 @@ from copy import copy
 from dataclasses import dataclass
 from functools import reduce
 from itertools import product
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from fourbar_codegen.layout import Formulas
 
 __all__ = ["Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
 
@@ -81,14 +83,14 @@ class Constraints:
 
     Parameters
     ----------
-    formulas : mapping
+    formulas : Formulas
     values : mapping of (str, str) to float
         Kind and name of each leaf.
     """
 
-    def __init__(self, formulas: Mapping[str, Any], values: Mapping[tuple[str, str], float]) -> None:
-        self._operations: list[list[Any]] = formulas["operations"]
-        self._results: list[list[Any]] = formulas["results"]
+    def __init__(self, formulas: Formulas, values: Mapping[tuple[str, str], float]) -> None:
+        self._operations = cast("list[list[Any]]", formulas.operations)
+        self._results = cast("list[list[Any]]", formulas.results)
         self._values = dict(values)
         self._reached = [self._reach(node) for node, _ in self._results]
         self._leaves = [
@@ -114,7 +116,7 @@ class Constraints:
                 operations.append(["+", scaled, 0])
                 scaled = [[len(operations) - 1, 1]]
             results += scaled
-        return Constraints({"operations": operations, "results": results}, self._values)
+        return Constraints(Formulas(operations, results), self._values)
 
     def depends(self, row: int, name: str) -> bool:
         """Whether an expression contains a coordinate."""

@@ -13,8 +13,8 @@ import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from fourbar_codegen.building.cache import SIZE_LIMIT, cached, find_cached
 from fourbar_codegen.building.toolchain import (
@@ -26,8 +26,9 @@ from fourbar_codegen.building.toolchain import (
     library_toolchain,
 )
 from fourbar_codegen.errors import CacheError
+from fourbar_codegen.layout import Json, Layout
 
-__all__ = ["LATER", "PARTS", "SUFFIXES", "build_part", "install", "manifest_of", "numbers_path", "removed"]
+__all__ = ["LATER", "PARTS", "SUFFIXES", "build_part", "install", "numbers_path", "removed"]
 
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
@@ -49,18 +50,12 @@ INLINED = "#define FB_SHORT\n"
 ATTEMPTS = 5
 """Attempts to use an entry of the cache that other processes remove."""
 
-NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
-"""Keys of a manifest that are not structure; ..."""
-
-PARAMETER_NUMBERS = ("default", "unit", "description", "range")
-"""... and those of each of its parameters."""
-
 
 def build_part(
     name: str,
     part: str,
     sources: Mapping[str, str],
-    structure: Mapping[str, Any] | None = None,
+    structure: Mapping[str, Json] | None = None,
     *,
     check: Callable[[Path], object] | None = None,
 ) -> Path:
@@ -121,7 +116,7 @@ def build_part(
 def install(
     name: str,
     sources: Mapping[str, str],
-    manifest: Mapping[str, Any],
+    layout: Layout,
     folder: Path,
     *,
     later: bytes | None,
@@ -134,7 +129,7 @@ def install(
     name : str
     sources : mapping of str to str
         Text by file name: those of the kernel at least.
-    manifest : mapping
+    layout : Layout
     folder : Path
         An existing folder.
     later : bytes or None
@@ -162,14 +157,14 @@ def install(
                 (folder / filename).write_text(text, encoding="utf-8")
         if later is not None:
             (folder / f"{name}{LATER}").write_bytes(later)
-        _write_numbers(manifest, built)
+        _write_numbers(layout, built)
         compared = None if check is None else check(built)
         for library in (built, folder / built.name):
-            _write_numbers({**manifest, "compared": compared}, library)
+            _write_numbers(replace(layout, compared=compared), library)
         checked = True
 
     for _ in range(ATTEMPTS):
-        library = build_part(name, "kernel", sources, _structure(manifest), check=complete)
+        library = build_part(name, "kernel", sources, layout.structure, check=complete)
         with suppress(FileNotFoundError):  # if another process has removed it in between, to keep the cache small
             if not checked:  # it existed, for a model with other numbers, or one that was not checked
                 with tempfile.TemporaryDirectory() as temporary:
@@ -191,36 +186,12 @@ def numbers_path(library: Path) -> Path:
     return library.with_name(f"{library.stem.removesuffix('_kernel')}_numbers.json")
 
 
-def _structure(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """The part of a manifest that is in the library."""
-    structure = {key: value for key, value in manifest.items() if key not in NUMBERS}
-    return structure | {"parameters": [{"name": entry["name"]} for entry in manifest["parameters"]]}
+def _write_numbers(layout: Layout, library: Path) -> None:
+    """Write the part of a layout that is in the file beside the library."""
+    numbers_path(library).write_text(json.dumps(layout.numbers, indent=2) + "\n", encoding="utf-8")
 
 
-def _write_numbers(manifest: Mapping[str, Any], library: Path) -> None:
-    """Write the part of a manifest that is in the file beside the library."""
-    parameters = [{key: entry[key] for key in PARAMETER_NUMBERS} for entry in manifest["parameters"]]
-    numbers = {**{key: manifest[key] for key in NUMBERS}, "parameters": parameters}
-    numbers_path(library).write_text(json.dumps(numbers, indent=2) + "\n", encoding="utf-8")
-
-
-def manifest_of(structure: Mapping[str, Any], numbers: Mapping[str, Any]) -> dict[str, Any]:
-    """The manifest of a structure and numbers.
-
-    Raises
-    ------
-    ValueError, KeyError, TypeError
-        If the numbers are another structure's.
-    """
-    pairs = zip(structure["parameters"], numbers["parameters"], strict=True)
-    return {
-        **structure,
-        **{key: numbers[key] for key in NUMBERS},
-        "parameters": [{**entry, **{key: values[key] for key in PARAMETER_NUMBERS}} for entry, values in pairs],
-    }
-
-
-def structure_text(name: str, structure: Mapping[str, Any]) -> str:
+def structure_text(name: str, structure: Mapping[str, Json]) -> str:
     """The C source that puts a structure into a library, line by line, since C99 limits the length of strings."""
     text = json.dumps(structure, indent=1, ensure_ascii=True, allow_nan=False)
     lines = "\n".join(f"    {json.dumps(line)}," for line in text.splitlines())

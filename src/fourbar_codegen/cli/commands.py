@@ -393,7 +393,7 @@ def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
             f"{trajectory.residual_label}: {residual[0]:.2e} at the start, {residual[-1]:.2e} at the end, "
             f"{residual.max():.2e} at most"
         )
-    if model.manifest["has_potential_energy"]:
+    if model.layout.potential_energy.is_known:
         label, energy = model.title("energy").replace("e", "E", 1), trajectory.energy
         click.echo(f"{label}: {energy[0]:.6f} J at the start, {energy[-1]:.6f} J at the end")
 
@@ -488,35 +488,35 @@ def info(model: str) -> None:
     from fourbar_codegen.building.compiler import INSTALL, find_compiler
 
     compiled = compiled_model(model)
-    manifest = compiled.manifest
+    layout = compiled.layout
     click.echo(f"Model {compiled.name}")
     for kind, names, dependent in (
-        ("coordinates", compiled.coordinates, manifest["n_dependent_coordinates"]),
-        ("speeds", compiled.speeds, manifest["n_dependent_speeds"]),
+        ("coordinates", compiled.coordinates, layout.n_dependent_coordinates),
+        ("speeds", compiled.speeds, layout.n_dependent_speeds),
     ):
         split = len(names) - dependent
         click.echo(f"{kind}: {', '.join(names[:split])} independent; {', '.join(names[split:]) or 'none'} dependent")
     if compiled.auxiliary_states:
         click.echo(f"auxiliary states: {', '.join(compiled.auxiliary_states)}")
     click.echo(f"constraints: {compiled.n_h} on positions, {compiled.n_c} on velocities")
-    click.echo(f"equations: {manifest['form']}, {FORMS[manifest['form']]}")
+    click.echo(f"equations: {layout.form}, {FORMS[layout.form]}")
     click.echo("parameters:")
-    for entry in manifest["parameters"]:
-        value = "no default" if entry["default"] is None else f"{entry['default']:g}"
-        click.echo(f"  {entry['name']:<8} {value:>10} {entry['unit']:<10} {entry['description']}".rstrip())
+    for parameter in layout.parameters:
+        value = "no default" if parameter.default is None else f"{parameter.default:g}"
+        click.echo(f"  {parameter.name:<8} {value:>10} {parameter.unit:<10} {parameter.description}".rstrip())
     click.echo("inputs:")
-    for entry in manifest["inputs"]:
-        click.echo(f"  {entry['name']:<8} {entry['expression'] or 'no expression'}")
+    for entry in layout.inputs:
+        click.echo(f"  {entry.name:<8} {entry.expression or 'no expression'}")
     driving = compiled.outputs[: compiled.n_l - compiled.n_c]
     if driving:
         click.echo(f"unknown forces that drive the motion: {', '.join(driving)}")
     if compiled.outputs:
         click.echo(f"outputs: {', '.join(compiled.outputs)}")
     click.echo("operations (written out in full):")
-    for function, count in manifest["operations"].items():
-        click.echo(f"  {function:<22} {count:>7} ({manifest['operations_before_sharing'][function]:.4g})")
+    for function, count in layout.operations.counts.items():
+        click.echo(f"  {function:<22} {count:>7} ({layout.operations.before_sharing[function]:.4g})")
     click.echo(f"instructions: {compiled.instructions}")
-    compared = f"at {manifest['compared']} states" if compiled.is_verified else "not"
+    compared = f"at {layout.compared} states" if compiled.is_verified else "not"
     click.echo(f"compared with the equations: {compared}")
     compiler = find_compiler()
     click.echo(f"C compiler: {compiler}{'' if compiler.origin else f'. {INSTALL}'}")

@@ -246,8 +246,8 @@ def initial_state(
     compiled: CompiledModel, initial: Mapping[str, float], t: float, parameters: Mapping[str, float], inputs: Any
 ) -> Any:
     """An initial state from values by name, with the arguments of `CompiledModel.initial_state` that they belong to."""
-    n_qi = compiled.n_q - compiled.manifest["n_dependent_coordinates"]
-    n_ui = compiled.n_u - compiled.manifest["n_dependent_speeds"]
+    n_qi = compiled.layout.n_independent_coordinates
+    n_ui = compiled.layout.n_independent_speeds
     groups = (
         compiled.coordinates[:n_qi],
         compiled.speeds[:n_ui],

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from fourbar_codegen.codegen.c_expressions import ANGLES, CARRIED, Text
-from fourbar_codegen.layout import DIRECTIONS, VECTOR, Needs, Role
 from fourbar_codegen.lowering.program import Array, Function, PivotOrder, Structure
 from fourbar_codegen.lowering.schedule import (
     TOGETHER,
@@ -26,6 +25,7 @@ from fourbar_codegen.lowering.schedule import (
     ScheduledFunction,
     Store,
 )
+from fourbar_codegen.roles import DIRECTIONS, VECTOR, Needs, Role
 
 __all__ = ["batch_text", "derivatives_text", "header_text", "kernel_text", "variations_text", "version_texts"]
 

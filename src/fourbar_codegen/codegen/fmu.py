@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 from xml.etree import ElementTree as ET
 
 from fourbar_codegen.codegen.c_library import FOLDER
-from fourbar_codegen.definitions import motions
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.layout import Layout
 
 __all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
 
@@ -56,17 +56,17 @@ class Variable:
     needs_inputs: bool = True
 
 
-def token_of(manifest: Mapping[str, Any]) -> str:
+def token_of(layout: Layout) -> str:
     """What ties a binary to its description."""
-    return f"{{{manifest['fingerprint'][:32]}}}"
+    return f"{{{layout.fingerprint[:32]}}}"
 
 
-def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list[Variable]:
+def variables_of(layout: Layout, defaults: Sequence[float]) -> list[Variable]:
     """The variables in the order of fourbar_fmu.h.
 
     Parameters
     ----------
-    manifest : mapping
+    layout : Layout
     defaults : sequence of float
         Values of the inputs at t = 0, NaN without one.
 
@@ -75,14 +75,10 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
     ModelError
         If two variables have the same name, or texts have characters that XML cannot have.
     """
-    coordinates, speeds = manifest["coordinates"], manifest["speeds"]
-    states = [*coordinates, *speeds, *manifest["auxiliary_states"]]
+    coordinates, speeds, states = layout.coordinates, layout.speeds, layout.states
     n_q, n_u = len(coordinates), len(speeds)
-    dependent = {
-        *coordinates[n_q - manifest["n_dependent_coordinates"] :],
-        *speeds[n_u - manifest["n_dependent_speeds"] :],
-    }
-    initial = manifest["initial"]
+    dependent = {*coordinates[layout.n_independent_coordinates :], *speeds[layout.n_independent_speeds :]}
+    initial = layout.initial
     found: list[Variable] = []
 
     def add(name: str, description: str, unit: str, kind: str, **more: Any) -> None:
@@ -92,27 +88,26 @@ def variables_of(manifest: Mapping[str, Any], defaults: Sequence[float]) -> list
     for k, name in enumerate(states):
         what = "coordinate" if k < n_q else "speed" if k < n_q + n_u else "state"
         words = f"{what}, follows from the independent ones" if name in dependent else what
-        unit = "rad" if name in manifest["angles"] else ""
+        unit = "rad" if name in layout.angles else ""
         add(name, words, unit, "state", start=initial.get(name, 0.0), is_exact=name not in dependent)
     for k, name in enumerate(states):
         add(f"der({name})", "", "", "rate", of=1 + k)
-    for entry in manifest["parameters"]:
-        add(entry["name"], entry["description"] or "", entry["unit"] or "", "parameter", start=entry["default"])
-    for entry, value in zip(manifest["inputs"], defaults, strict=True):
-        words = f"{entry['expression']}, until it is set" if entry["expression"] else ""
-        if entry["order"]:
-            words = ("", "rate of ", "second derivative of ")[entry["order"]] + entry["of"]
-        add(entry["name"], words, "", "input", start=0.0 if value != value else value)
-    for name in manifest["outputs"]:
+    for p in layout.parameters:
+        add(p.name, p.description, p.unit, "parameter", start=p.default)
+    for entry, value in zip(layout.inputs, defaults, strict=True):
+        words = f"{entry.expression}, until it is set" if entry.expression else ""
+        if entry.order:
+            words = ("", "rate of ", "second derivative of ")[entry.order] + entry.of
+        add(entry.name, words, "", "input", start=0.0 if value != value else value)
+    for name in layout.outputs:
         add(name, "", "", "output")
     for kind in ("kinetic", "potential"):
-        words = (
-            f"without {', '.join(without)}" if kind == "potential" and (without := manifest["energy_without"]) else ""
-        )
+        without = layout.potential_energy.without if kind == "potential" else ()
+        words = f"without {', '.join(without)}" if without else ""
         add(f"{kind} energy", words, "J", "output", needs_inputs=False)
-    unknown = len(found) - 1 if not manifest["has_potential_energy"] else None
-    for number, point in enumerate(manifest["points"]):
-        name = point["name"] or f"point {number}"
+    unknown = len(found) - 1 if not layout.potential_energy.is_known else None
+    for number, point in enumerate(layout.drawing.points):
+        name = point.name or f"point {number}"
         for axis in "xyz":
             add(f"{name}.{axis}", f"position of {name}", "", "output", needs_inputs=False)
     found = [variable for variable in found if variable.reference != unknown]
@@ -141,18 +136,18 @@ def _check(variable: Variable) -> None:
             )
 
 
-def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Variable], version: str) -> str:
+def description(fmi: int, layout: Layout, variables: Sequence[Variable], version: str) -> str:
     """The file modelDescription.xml.
 
     Parameters
     ----------
     fmi : {2, 3}
-    manifest : mapping
+    layout : Layout
     variables : sequence of Variable
     version : str
         Of fourbar_codegen.
     """
-    name, token = manifest["name"], token_of(manifest)
+    name, token = layout.name, token_of(layout)
     root = ET.Element(
         "fmiModelDescription",
         {"fmiVersion": f"{fmi}.0", "modelName": name, "guid" if fmi == 2 else "instantiationToken": token},
@@ -190,7 +185,7 @@ def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Varia
     unknown = [
         k for k, v in enumerate(variables) if v.kind in {"rate", "output"} or (v.kind == "state" and not v.is_exact)
     ]
-    depends = _dependencies(manifest, variables)
+    depends = _dependencies(layout, variables)
     if fmi == 2:
         for element, numbers in (("Outputs", outputs), ("Derivatives", rates), ("InitialUnknowns", unknown)):
             group = ET.SubElement(structure, element)
@@ -211,13 +206,13 @@ def description(fmi: int, manifest: Mapping[str, Any], variables: Sequence[Varia
     return _xml(root)
 
 
-def _dependencies(manifest: Mapping[str, Any], variables: Sequence[Variable]) -> dict[int, list[int]]:
+def _dependencies(layout: Layout, variables: Sequence[Variable]) -> dict[int, list[int]]:
     """For outputs that do not depend on all states and inputs, numbers of those that they depend on.
 
     Without them, importers would take speeds and positions as functions of the inputs, and see algebraic loops.
     """
-    moving = motions(manifest)
-    prescribed = {entry["name"] for entry in manifest["inputs"] if entry["of"] in moving}
+    moving = layout.has_rates
+    prescribed = {entry.name for entry in layout.inputs if entry.of in moving}
     some = [k for k, v in enumerate(variables) if v.kind == "state" or (v.kind == "input" and v.name in prescribed)]
     found = {}
     for number, variable in enumerate(variables):
@@ -286,12 +281,12 @@ def _xml(root: ET.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
+def fmu_source(fmi: int, layout: Layout) -> str:
     """The source of an FMU besides those of its library."""
-    name = manifest["name"]
-    outputs = "#define FB_OUTPUTS\n" if manifest["outputs"] else ""
-    moving = motions(manifest)
-    has_rates = ", ".join(str(int(not e["order"] and e["of"] in moving)) for e in manifest["inputs"]) or "0"
+    name = layout.name
+    outputs = "#define FB_OUTPUTS\n" if layout.outputs else ""
+    moving = layout.has_rates
+    has_rates = ", ".join(str(int(not e.order and e.of in moving)) for e in layout.inputs) or "0"
     return f"""\
 /* The mechanism "{name}" as an FMU, generated by fourbar_codegen. Do not edit.
  *
@@ -300,7 +295,7 @@ def fmu_source(fmi: int, manifest: Mapping[str, Any]) -> str:
 #define FB_WITHOUT_TYPE
 #include "{name}.h"
 
-static const char fmu_token[] = "{token_of(manifest)}";
+static const char fmu_token[] = "{token_of(layout)}";
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
 #define FB_MODEL {name}

@@ -1,8 +1,7 @@
-"""Model, Equations and Program -> the manifest, which describes a compiled model."""
+"""Model, Equations and Program -> Layout, the description of a compiled model."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from operator import or_
@@ -14,20 +13,34 @@ from sympy.functions.elementary.trigonometric import TrigonometricFunction
 from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.dynamics.jumps import jumps
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
+from fourbar_codegen.layout import (
+    Breakpoints,
+    Constraints,
+    Dependencies,
+    Drawing,
+    Input,
+    Jump,
+    Layout,
+    Operations,
+    Parameter,
+    Point,
+    PotentialEnergy,
+    Shape,
+    ShapeKind,
+)
 from fourbar_codegen.lowering.program import Function, Program
+from fourbar_codegen.modeling import model as modeling
 from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.mechanism import Mechanism, entries_of
 from fourbar_codegen.modeling.model import Model
 
-__all__ = ["manifest_of", "manifest_text", "operations_of"]
-
-MANIFEST_FORMAT = 19
+__all__ = ["layout_of", "operations_of"]
 
 
-def manifest_of(
+def layout_of(
     model: Model, equations: Equations, program: Program, names: Mapping[str, Sequence[str]], fingerprint: str
-) -> dict[str, Any]:
-    """The manifest of a compiled model: names, order, defaults, units, and operation counts of the program's functions.
+) -> Layout:
+    """The description of a compiled model, with operation counts of the program's functions.
 
     Parameters
     ----------
@@ -41,71 +54,78 @@ def manifest_of(
 
     Returns
     -------
-    dict
-        Plain data that JSON can hold.
+    Layout
     """
-    functions = {function.name: function.results for function in program.functions}
-    energies = functions["energy"][0].entries
-    violation = functions["constraint_violation"][0].entries[: program.sizes.n_c]
-    picture = equations.drawing.picture
-    return {
-        "format": MANIFEST_FORMAT,
-        "name": model.name,
-        "fingerprint": fingerprint,
-        "coordinates": list(names["coordinates"]),
-        "angles": _angles(model, equations, names["coordinates"]),
-        "speeds": list(names["speeds"]),
-        "auxiliary_states": list(names["auxiliary_states"]),
-        "n_dependent_coordinates": model.mechanism.n_dependent_coordinates,
-        "n_dependent_speeds": model.mechanism.n_dependent_speeds,
-        "parameters": [
-            {"name": name, "default": p.value, "unit": p.unit, "description": p.description, "range": p.range}
-            for name, p in ((name, model.parameters[name]) for name in names["parameters"])
-        ],
-        "derived_parameters": {symbol.name: str(expr) for symbol, expr in model.derived_parameters.items()},
-        "inputs": [
-            {
-                "name": entry.name,
-                "expression": None if entry.expression is None else str(entry.expression),
-                "of": entry.of,
-                "order": entry.order,
-            }
-            for entry in model.input_entries
-            if entry.name in names["inputs"]
-        ],
-        "moving_inputs": list(equations.inputs.prescribed),
-        "n_breakpoints": program.sizes.n_breakpoints,
-        "n_jumps": equations.inputs.n_jumps,
-        "outputs": list(names["outputs"]),
-        "open_outputs": _open_outputs(equations, program, names["outputs"]),
-        "position_constraints": equations.positions.formulas,
-        "points": [
-            {"name": name, "body": point.body}
-            for name, point in zip(_distinct([point.name for point in picture.points]), picture.points, strict=True)
-        ],
-        "geometry": _geometry(equations, names["parameters"]),
-        "shapes": [{"kind": shape.kind, "name": shape.name, "points": list(shape.points)} for shape in picture.shapes],
-        "not_drawn": list(picture.not_drawn),
-        "gravity": gravity(model.mechanism.loads, model.mechanism.bodies, _values(model), model.mechanism.time),
-        "forced_points": list(equations.drawing.forced),
-        "initial": model.initial,
-        "invariants": list(equations.positions.invariants),
-        "position_rows": list(program.position_rows),
-        "states_velocity_constraints": model.mechanism.states_velocity_constraints,
-        "velocity_rows": [row for row, entry in enumerate(violation) if not entry],
-        "warnings": list(equations.warnings),
-        "compared": None,  # known only after compilation
-        "has_potential_energy": not energies[1].is_nan,
-        "energy_without": list(equations.energy.without),
-        "form": program.form,
-        "jumps": _jumps(model, equations, names),
-        "dependencies": _dependencies(equations),
-        **_timed(model, equations, names),
-        **operations_of(program.functions),
-    }
+    mechanism = model.mechanism
+    energies = equations.energy.energies.entries
+    return Layout(
+        name=model.name,
+        fingerprint=fingerprint,
+        form=program.form,
+        coordinates=(*names["coordinates"],),
+        speeds=(*names["speeds"],),
+        auxiliary_states=(*names["auxiliary_states"],),
+        n_dependent_coordinates=mechanism.n_dependent_coordinates,
+        n_dependent_speeds=mechanism.n_dependent_speeds,
+        angles=_angles(model, equations, names["coordinates"]),
+        parameters=tuple(_parameter(name, model.parameters[name]) for name in names["parameters"]),
+        derived_parameters={symbol.name: str(expr) for symbol, expr in model.derived_parameters.items()},
+        geometry=_geometry(equations, names["parameters"]),
+        inputs=_inputs(model, equations, names["inputs"]),
+        outputs=(*names["outputs"],),
+        undetermined_outputs=_undetermined_outputs(equations, program, names["outputs"]),
+        constraints=_constraints(model, equations, program),
+        breakpoints=Breakpoints(
+            n=program.sizes.n_breakpoints, n_of_motions=equations.inputs.n_jumps, jumps=_jumps(model, equations, names)
+        ),
+        drawing=_drawing(model, equations),
+        potential_energy=PotentialEnergy(is_known=not energies[1].is_nan, without=equations.energy.without),
+        initial=model.initial,
+        warnings=equations.warnings,
+        compared=None,  # known only after compilation
+        dependencies=_dependencies(model, equations, names),
+        operations=operations_of(program.functions),
+    )
 
 
-def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> list[dict[str, Any]]:
+def _parameter(name: str, parameter: modeling.Parameter) -> Parameter:
+    return Parameter(name, parameter.value, parameter.unit, parameter.description, parameter.range)
+
+
+def _inputs(model: Model, equations: Equations, names: Sequence[str]) -> tuple[Input, ...]:
+    entries = [entry for entry in model.input_entries if entry.name in names]
+    expressions = (None if entry.expression is None else str(entry.expression) for entry in entries)
+    prescribed = equations.inputs.prescribed
+    return tuple(
+        Input(entry.name, expression, entry.of, entry.order, place in prescribed)
+        for place, (entry, expression) in enumerate(zip(entries, expressions, strict=True))
+    )
+
+
+def _constraints(model: Model, equations: Equations, program: Program) -> Constraints:
+    violation = equations.positions.violation.entries[: program.sizes.n_c]
+    return Constraints(
+        positions=equations.positions.formulas,
+        position_rows=program.position_rows,
+        invariants=equations.positions.invariants,
+        are_stated=model.mechanism.states_velocity_constraints,
+        velocity_rows=tuple(row for row, entry in enumerate(violation) if not entry),
+    )
+
+
+def _drawing(model: Model, equations: Equations) -> Drawing:
+    picture, mechanism = equations.drawing.picture, model.mechanism
+    names = _distinct([point.name for point in picture.points])
+    return Drawing(
+        points=tuple(Point(name, point.body) for name, point in zip(names, picture.points, strict=True)),
+        shapes=tuple(Shape(ShapeKind(shape.kind), shape.name, tuple(shape.points)) for shape in picture.shapes),
+        not_drawn=tuple(picture.not_drawn),
+        forced_points=equations.drawing.forced,
+        gravity=gravity(mechanism.loads, mechanism.bodies, _values(model), mechanism.time),
+    )
+
+
+def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> tuple[Jump, ...]:
     """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
     values = {}
     for leaf, name in zip(equations.variables.parameters, names["parameters"], strict=True):
@@ -113,11 +133,10 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
         if value is not None:
             values[leaf] = value
     states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
-    return [jump._asdict() for jump in jumps(equations, states, _base_names(model, names["inputs"]), values)]
+    return tuple(jumps(equations, states, _base_names(model, names["inputs"]), values))
 
 
-def _dependencies(equations: Equations) -> dict[str, list[str]]:
-    """For each row, what it depends on: a hexadecimal number with bits for x, p, r, u', the multipliers and t."""
+def _dependencies(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> Dependencies:
     e, tape, v = equations, equations.tape, equations.variables
     leaves = (*v.state, *v.parameters, *v.inputs, *v.accelerations, *v.multipliers, v.time)
     masks = {leaf.node: 1 << place for place, leaf in enumerate(leaves)}
@@ -129,7 +148,9 @@ def _dependencies(equations: Equations) -> dict[str, list[str]]:
         "default_inputs": e.inputs.default.entries,
     }
     tape.spread(tape.reach(entry for entries in rows.values() for entry in entries), masks)
-    return {name: [hex(masks.get(entry.node, 0)) for entry in entries] for name, entries in rows.items()}
+    timed, timed_by = _timed(model, equations, names)
+    bits = {name: tuple(masks.get(entry.node, 0) for entry in entries) for name, entries in rows.items()}
+    return Dependencies(bits, timed, timed_by)
 
 
 def _base_names(model: Model, inputs: Sequence[str]) -> list[str]:
@@ -138,7 +159,9 @@ def _base_names(model: Model, inputs: Sequence[str]) -> list[str]:
     return [of[name] for name in inputs]
 
 
-def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
+def _timed(
+    model: Model, equations: Equations, names: Mapping[str, Sequence[str]]
+) -> tuple[tuple[str, ...], dict[str, tuple[str, ...]]]:
     """The parameters and inputs in terms that depend on time explicitly, or by an input's expression, such as the
     amplitude of a force; and those in terms that depend on each input, which may be given as a table of time.
     """
@@ -152,7 +175,7 @@ def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
     everything = {leaf.node: 1 << place for place, (_, leaf) in enumerate(named)}  # what a node depends on
     tape.spread(nodes, everything)
 
-    def beside(leaves: Sequence[Scalar]) -> list[str]:
+    def beside(leaves: Sequence[Scalar]) -> tuple[str, ...]:
         """What is in terms with these leaves: of a sum only those, of a product all factors, or terms of a factor."""
         dependent = tape.dependent(nodes, leaves)
         masks = {leaf.node: everything.get(leaf.node, 0) for leaf in leaves}
@@ -167,12 +190,12 @@ def _timed(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
                     mask = everything[node]
                 masks[node] = mask
         found = reduce(or_, (masks.get(entry.node, 0) for entry in entries), 0)
-        return list(dict.fromkeys(name for place, (name, _) in enumerate(named) if found >> place & 1))
+        return tuple(dict.fromkeys(name for place, (name, _) in enumerate(named) if found >> place & 1))
 
     pairs = list(zip(inputs, e.variables.inputs, e.inputs.default.entries, strict=True))
     driven = [leaf for _, leaf, default in pairs if tape.depends([default], [e.variables.time])]
     by_input = {name: beside([leaf for other, leaf, _ in pairs if other == name]) for name in dict.fromkeys(inputs)}
-    return {"timed": beside([e.variables.time, *driven]), "timed_by": by_input}
+    return beside([e.variables.time, *driven]), by_input
 
 
 def _values(model: Model) -> dict[sm.Basic, Any]:
@@ -183,7 +206,7 @@ def _values(model: Model) -> dict[sm.Basic, Any]:
     return {symbol: sm.sympify(value) for symbol, value in values.items()}
 
 
-def _angles(model: Model, equations: Equations, names: Sequence[str]) -> list[str]:
+def _angles(model: Model, equations: Equations, names: Sequence[str]) -> tuple[str, ...]:
     """The coordinates whose sines or cosines the equations take, or of sums with numbers as factors.
 
     Not lengths along curves: x in sin(k x), where k may have any unit, or an x by which a point moves on after a turn.
@@ -197,7 +220,7 @@ def _angles(model: Model, equations: Equations, names: Sequence[str]) -> list[st
     leaves = zip(names, model.mechanism.coordinates, equations.variables.coordinates, strict=True)
     taken = {coordinate: name for name, coordinate, q in leaves if q.node in arguments}
     turning = _turning(model.mechanism)  # also if it rolls, as a wheel does
-    return [name for each, name in taken.items() if each in turning or not _moves_on(model.mechanism, each)]
+    return tuple(name for each, name in taken.items() if each in turning or not _moves_on(model.mechanism, each))
 
 
 def _moves_on(mechanism: Mechanism, coordinate: sm.Expr) -> bool:
@@ -230,29 +253,29 @@ def _turning(mechanism: Mechanism) -> set[sm.Expr]:
     return found
 
 
-def _geometry(equations: Equations, names: Sequence[str]) -> list[str]:
+def _geometry(equations: Equations, names: Sequence[str]) -> tuple[str, ...]:
     """The parameters that positions, velocity constraints and coordinates' rates depend on: lengths, not masses."""
     e = equations
     constraints = (e.positions.constraints, e.velocities.violation)
     results = (*constraints, e.dynamics.coordinate_rates, e.drawing.points, e.inputs.default)
     reached = {*e.tape.reach(entry for result in results for entry in result.entries)}
-    return [name for name, leaf in zip(names, e.variables.parameters, strict=True) if leaf.node in reached]
+    return tuple(name for name, leaf in zip(names, e.variables.parameters, strict=True) if leaf.node in reached)
 
 
-def _open_outputs(equations: Equations, program: Program, names: Sequence[str]) -> list[str]:
+def _undetermined_outputs(equations: Equations, program: Program, names: Sequence[str]) -> tuple[str, ...]:
     """The outputs with multipliers that redundant constraints leave undetermined."""
     if program.sizes.rank == program.sizes.n_c:
-        return []
+        return ()
     pairs = zip(names, equations.outputs.entries, strict=True)
-    return [name for name, entry in pairs if equations.tape.depends([entry], equations.variables.multipliers)]
+    return tuple(name for name, entry in pairs if equations.tape.depends([entry], equations.variables.multipliers))
 
 
-def operations_of(functions: Sequence[Function]) -> dict[str, Any]:
-    """The part of a manifest that counts operations."""
-    return {
-        "operations_before_sharing": {function.name: function.operations_before_sharing for function in functions},
-        "operations": {function.name: function.operations for function in functions},
-    }
+def operations_of(functions: Sequence[Function]) -> Operations:
+    """The operation counts of functions."""
+    return Operations(
+        counts={function.name: function.operations for function in functions},
+        before_sharing={function.name: function.operations_before_sharing for function in functions},
+    )
 
 
 def _distinct(names: Sequence[str]) -> list[str]:
@@ -263,8 +286,3 @@ def _distinct(names: Sequence[str]) -> list[str]:
         taken[name] = taken.get(name, 0) + 1
         distinct.append(name if taken[name] == 1 or not name else f"{name} ({taken[name]})")
     return distinct
-
-
-def manifest_text(manifest: dict[str, Any]) -> str:
-    """The manifest as text, as written beside the sources."""
-    return json.dumps(manifest, indent=2, ensure_ascii=True, allow_nan=False) + "\n"

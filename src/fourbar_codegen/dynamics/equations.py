@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from fourbar_codegen.dynamics.picture import Picture
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
+from fourbar_codegen.layout import Formulas
 
 __all__ = [
     "Drawing",
@@ -147,8 +147,8 @@ class PositionConstraints:
     ----------
     constraints, jacobian : Result
         Phi, (n_h,), and dPhi/dq, (n_h, n_q).
-    formulas : dict
-        Phi as plain data, made by `formulas`.
+    formulas : Formulas
+        Phi as plain data.
     rows : tuple of (int or None)
         For each constraint the row of J that keeps it; None for invariants and redundant constraints.
     invariants : tuple of int
@@ -167,7 +167,7 @@ class PositionConstraints:
 
     constraints: Result
     jacobian: Result
-    formulas: dict[str, Any]
+    formulas: Formulas
     rows: tuple[int | None, ...]
     invariants: tuple[int, ...]
     violation: Result

@@ -7,7 +7,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum, auto
 from functools import cache, partial
-from typing import NamedTuple
 
 import numpy as np
 import sympy as sm
@@ -17,6 +16,7 @@ from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
 from fourbar_codegen.expressions.tape import Call, Leaf, Reciprocal, Scalar, Tape
+from fourbar_codegen.layout import Jump
 
 __all__ = ["Jump", "jumps"]
 
@@ -52,27 +52,6 @@ class Outcome(Enum):
     JUMPS = auto()
     UNKNOWN = auto()
     """Wherever the function may jump, the rows have no real value."""
-
-
-class Jump(NamedTuple):
-    """A function at which rows jump.
-
-    Attributes
-    ----------
-    function : str
-        Such as "sign of u1".
-    input : str
-        The name of the input in whose expression it stands, or "".
-    by_default : bool
-        Whether it jumps with the known values of parameters, not only with others.
-    known : bool
-        Whether it is known that it jumps: not where the rows have no real value at any of the random states.
-    """
-
-    function: str
-    input: str
-    by_default: bool
-    known: bool
 
 
 def jumps(

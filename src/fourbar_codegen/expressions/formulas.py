@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from fractions import Fraction
-from typing import Any
 
 import sympy as sm
 
 from fourbar_codegen.expressions.tape import ONE, Call, Leaf, Node, Number, Product, Reciprocal, Scalar, Sum, Tape
+from fourbar_codegen.layout import Formulas, Json
 
 __all__ = ["formulas"]
 
@@ -24,7 +24,7 @@ FUNCTIONS = {
 """Their names in mpmath."""
 
 
-def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
+def formulas(tape: Tape, scalars: Sequence[Scalar]) -> Formulas:
     """The scalars as data that JSON can hold.
 
     Parameters
@@ -34,7 +34,7 @@ def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
 
     Returns
     -------
-    dict
+    Formulas
         ``operations``, each of which refers to earlier operations by their numbers: ``["q", "q1"]`` is a leaf;
         ``["+", [[0, 2], [1, -1]], constant]`` a sum of operations 0 and 1 with factors, and a number; ``["*", [0, 1]]``
         a product; ``["/", 0]`` a reciprocal; ``["sin", argument]`` a function, and likewise others, whose arguments are
@@ -50,18 +50,19 @@ def formulas(tape: Tape, scalars: Sequence[Scalar]) -> dict[str, Any]:
     >>> q, l = sm.symbols("q l")
     >>> leaves = {q: tape.leaf("q", "q"), l: tape.leaf("p", "l")}
     >>> formulas(tape, [Conversion(tape, leaves)(3 * l * sm.cos(2 * q))])
-    {'operations': [['q', 'q'], ['p', 'l'], ['cos', [['*', [['=', 2], ['@', 0]]]]], ['*', [1, 2]]], 'results': [[3, 3]]}
+    Formulas(operations=[['q', 'q'], ['p', 'l'], ['cos', [['*', [['=', 2], ['@', 0]]]]], ['*', [1, 2]]],
+             results=[[3, 3]])
     """
     places: dict[int, int | None] = {ONE: None}
-    operations: list[list[Any]] = []
+    operations: list[Json] = []
     for node in tape.reach(scalars):
         operations.append(_operation(tape.nodes[node], places))
         places[node] = len(operations) - 1
-    results = [[places[scalar.node], _plain(scalar.coefficient)] for scalar in scalars]
-    return {"operations": operations, "results": results}
+    results: list[Json] = [[places[scalar.node], _plain(scalar.coefficient)] for scalar in scalars]
+    return Formulas(operations, results)
 
 
-def _operation(node: Node, places: dict[int, int | None]) -> list[Any]:
+def _operation(node: Node, places: dict[int, int | None]) -> list[Json]:
     match node:
         case Leaf(kind, name):
             return [kind, name]
@@ -79,7 +80,7 @@ def _operation(node: Node, places: dict[int, int | None]) -> list[Any]:
     raise AssertionError(node)
 
 
-def _encoded(expr: sm.Expr, operands: list[int | None]) -> list[Any] | None:
+def _encoded(expr: sm.Expr, operands: list[int | None]) -> list[Json] | None:
     if expr.is_Symbol:
         return ["@", operands[int(expr.name[1:])]]
     if expr.is_Rational:

@@ -97,7 +97,7 @@ def compare_variations(model: Functions) -> None:
 def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats, Floats, Floats], None]) -> None:
     generator, compared, is_defined = random.Random(0), 0, False
     # Derivatives with redundant constraints are unique along the constraints only.
-    is_redundant = model.n_c > model.manifest["n_dependent_speeds"]
+    is_redundant = model.n_c > model.layout.n_dependent_speeds
     attempts = ATTEMPTS if is_redundant else ATTEMPTS + 1
     for attempt in range(attempts):
         t, x, p, r = _arguments(model, generator, at_beginning=attempt == ATTEMPTS)
@@ -113,7 +113,7 @@ def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats
     if not compared:
         message = "%s: %s not compared, since the equations have no solution at any of %d states"
         level = logging.INFO if is_defined else logging.WARNING
-        logging.getLogger("fourbar_codegen").log(level, message, model.manifest["name"], what, attempts)
+        logging.getLogger("fourbar_codegen").log(level, message, model.layout.name, what, attempts)
 
 
 def _compare_variations_at(model: Functions, t: float, x: Floats, p: Floats, r: Floats) -> None:
@@ -155,7 +155,7 @@ def _compare_variations_at(model: Functions, t: float, x: Floats, p: Floats, r: 
             largest = np.abs(size[np.isfinite(size)]).max(initial=0.0)
             if not _agree(got, wanted, TOLERANCE * (1.0 + largest), partial(_rounding, both, x, p, r)):
                 raise BuildError(
-                    f"The compiled product {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
+                    f"The compiled product {what} of the model {model.layout.name} is\n{got}\nat a random state, "
                     f"where it should be\n{wanted}\n{DEFECT}"
                 )
 
@@ -188,7 +188,7 @@ def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r:
         ("dx'/dp", lambda *a: model.parameter_jacobian(t, *a), lambda p: model.rhs(t, x, p, r), p),
         ("dx'/dr", lambda *a: model.input_jacobian(t, *a), lambda r: model.rhs(t, x, p, r), r),
     ]
-    if model.n_o and not model.manifest["open_outputs"]:
+    if model.n_o and not model.layout.undetermined_outputs:
         pairs += [
             ("dy/dx", lambda *a: model.output_jacobian(t, *a), lambda x: outputs(x, p, r), x),
             ("dy/dp", lambda *a: model.output_parameter_jacobian(t, *a), lambda p: outputs(x, p, r), p),
@@ -211,7 +211,7 @@ def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r:
         is_right = (np.abs(_one_sided_differences(function, point) - got) <= tolerated).any(axis=0)
         if not _agree(got, np.where(is_right, got, wanted), tolerance, rounding):
             raise BuildError(
-                f"The compiled derivative {what} of the model {model.manifest['name']} is\n{got}\nat a random state, "
+                f"The compiled derivative {what} of the model {model.layout.name} is\n{got}\nat a random state, "
                 f"where differences give\n{expected}\n{DEFECT}"
             )
 
@@ -300,7 +300,7 @@ def compare_batch_functions(model: Functions) -> None:
             continue
         if not agree:
             raise BuildError(
-                f"The compiled right-hand side of the model {model.manifest['name']} for several states side by side "
+                f"The compiled right-hand side of the model {model.layout.name} for several states side by side "
                 f"gives\n{rates[:, i]}\nat a random state, and that for one state\n{expected}\n{DEFECT}"
             )
 
@@ -313,11 +313,10 @@ def _arguments(
     def numbers(n: int, low: float, high: float) -> Floats:
         return np.array([generator.uniform(low, high) for _ in range(n)])
 
-    defaults = np.array([entry["default"] for entry in model.manifest["parameters"]], dtype=float)
+    defaults = np.array([entry.default for entry in model.layout.parameters], dtype=float)
     p = np.where(np.isnan(defaults), numbers(model.n_p, 0.5, 1.5), defaults)
     t, x, r = generator.uniform(-1.0, 1.0), numbers(model.n_x, -1.0, 1.0), numbers(model.n_r, -1.0, 1.0)
     if at_beginning:
-        initial = model.manifest["initial"]
-        kinds = ("coordinates", "speeds", "auxiliary_states")
-        x = np.array([initial.get(name, 0.0) for kind in kinds for name in model.manifest[kind]])
+        initial = model.layout.initial
+        x = np.array([initial.get(name, 0.0) for name in model.layout.states])
     return t, x, p, r

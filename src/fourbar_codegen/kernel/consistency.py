@@ -96,12 +96,12 @@ def _violated(ode: Ode, t: float, x0: Floats, x: Floats, *, is_closed: bool) -> 
     what = "positions" if positions else "velocities (those on positions are satisfied)"
     change = np.abs(x - x0)[: n_q if positions else None].max()
     text = f"{what}: the nearest consistent state differs by {change:.2g}. " if is_closed else f"{what}. "
-    r, entries = ode.input_values(t, x0), ode.manifest["inputs"]
+    r, entries = ode.input_values(t, x0), ode.layout.inputs
     order = 0 if positions else 1
     given = [
-        f"{entry['name']} = {r[i]:.6g}{' (the slope of its table)' if order and entry['of'] in _tables(ode) else ''}"
+        f"{entry.name} = {r[i]:.6g}{' (the slope of its table)' if order and entry.of in _tables(ode) else ''}"
         for i, entry in enumerate(entries)
-        if i in ode.manifest["moving_inputs"] and entry["order"] == order
+        if i in ode.layout.prescribed_places and entry.order == order
     ]
     if given:
         text += f"At t = {t:g} the prescribed motion has {', '.join(given)}, which x0 has to fit. "
@@ -110,8 +110,8 @@ def _violated(ode: Ode, t: float, x0: Floats, x: Floats, *, is_closed: bool) -> 
 
 def _tables(ode: Ode) -> set[str]:
     """The inputs that are interpolated."""
-    pairs = zip(ode.manifest["inputs"], ode.sources, strict=True)
-    return {entry["of"] for entry, source in pairs if isinstance(source, Table)}
+    pairs = zip(ode.layout.inputs, ode.sources, strict=True)
+    return {entry.of for entry, source in pairs if isinstance(source, Table)}
 
 
 def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | None) -> str:
@@ -120,7 +120,7 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
     A Model checks this at random states. Here it is checked at some states of a run, given in columns: Phi_q q' + Phi_t
     must be zero, up to the error of the differences for Phi_t.
     """
-    n_q, prescribed, every = model.n_q, bool(model.manifest["moving_inputs"]), len(times) // LOOKED + 1
+    n_q, prescribed, every = model.n_q, bool(model.layout.prescribed_places), len(times) // LOOKED + 1
     for t, x in zip(times[::every], states.T[::every], strict=True):
         r, step = ode.input_values(t, x), DIFFERENCE * max(abs(t), 1.0)
         rates, slopes = ode(t, x)[:n_q], model.position(t, x[:n_q], p, r)[1]

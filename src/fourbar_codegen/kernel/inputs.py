@@ -47,9 +47,9 @@ def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSou
     sources = [None] * model.n_r if inputs is None else input_sources(model, inputs)
     if not model.has_inputs:
         missing = [
-            entry["name"]
-            for entry, source in zip(model.manifest["inputs"], sources, strict=True)
-            if entry["expression"] is None and source is None and not entry["order"]
+            entry.name
+            for entry, source in zip(model.layout.inputs, sources, strict=True)
+            if entry.expression is None and source is None and not entry.order
         ]
         if missing:
             raise ModelError(f"Input {', '.join(missing)} has no source and no expression: give a source in inputs=.")
@@ -82,23 +82,23 @@ def along(
             sources.append(float(values[0]))
         else:
             sources += _interpolants(t, values, "hold" if name in held else "linear", 1)
-    entries = model.manifest["inputs"]
-    interpolated = {entry["of"] for entry, source in zip(entries, sources, strict=True) if source is not None}
+    entries = model.layout.inputs
+    interpolated = {entry.of for entry, source in zip(entries, sources, strict=True) if source is not None}
     return Ode(model, parameters, sources), not interpolated.isdisjoint(model.prescribed)
 
 
 def by_name(model: Kernel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any]:
     """The inputs' sources, by name."""
     if inputs is not None and not is_mapping(inputs):
-        names = ", ".join(entry["name"] for entry in model.manifest["inputs"] if not entry["order"])
+        names = ", ".join(entry.name for entry in model.layout.inputs if not entry.order)
         raise ModelError(f"inputs must be a mapping from the inputs' names ({names}), not {shown(inputs)}.")
     return {} if inputs is None else inputs
 
 
 def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
     """For each entry of the inputs r: None (its expression), a float, a Table or a callable."""
-    entries = model.manifest["inputs"]
-    names = [entry["name"] for entry in entries if not entry["order"]]
+    entries = model.layout.inputs
+    names = [entry.name for entry in entries if not entry.order]
     sources: list[object] = [None] * len(entries)
     for name, given in named(by_name(model, inputs), names, "input").items():
         first = model.inputs.index(name)
@@ -244,7 +244,7 @@ def arbitrary_changes(
 
 def _orders(model: Kernel, name: str) -> list[int]:
     """The orders of the entries of r that an input makes, one after the other from 0 on."""
-    return [entry["order"] for entry in model.manifest["inputs"] if entry["of"] == name]
+    return [entry.order for entry in model.layout.inputs if entry.of == name]
 
 
 def _changes(model: Kernel, name: str, coefficients: Floats, outside: Floats | None = None) -> dict[int, Floats]:
@@ -275,8 +275,8 @@ def by_values(
         As `Steps.gradient` returns them.
     """
     first = model.inputs.index(name)
-    pairs = zip(model.manifest["inputs"], by_sources, strict=True)
-    parts = [part for entry, part in pairs if entry["of"] == name and part is not None]
+    pairs = zip(model.layout.inputs, by_sources, strict=True)
+    parts = [part for entry, part in pairs if entry.of == name and part is not None]
     # Of thousands of values, perhaps.
     kind = _kind(source, len(parts)) if isinstance(source, tuple) else None
     if kind == "hold":
@@ -363,8 +363,8 @@ def inputs_at(model: Kernel, t: float, p: Floats | None, inputs: Mapping[Any, In
         return None  # the expressions
     sources = [0.0 if callable(source) else source for source in input_sources(model, inputs)]
     r = Ode(model, p, sources).input_values(t, np.zeros(model.n_x))
-    entries = model.manifest["inputs"]
-    missing = dict.fromkeys(entries[i]["of"] for i in model.manifest["moving_inputs"] if np.isnan(r[i]))
+    entries = model.layout.inputs
+    missing = dict.fromkeys(entries[i].of for i in model.layout.prescribed_places if np.isnan(r[i]))
     if missing:
         raise ModelError(f"Input {', '.join(missing)} has no value at t = {t:g}: give a source of it in inputs=.")
     return np.nan_to_num(r)

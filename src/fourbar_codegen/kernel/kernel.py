@@ -21,14 +21,15 @@ from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.loading import (
     Loaded,
     generated,
+    layout_beside,
     load_file,
     load_from_sources,
     load_known,
     load_part,
-    manifest_beside,
     shipped_sources,
     sources_beside,
 )
+from fourbar_codegen.layout import Json, Layout
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite, versions
 from fourbar_codegen.runtime.functions import DYNAMICS, ENERGY, OUTPUT, POSITION, Functions
@@ -50,36 +51,39 @@ class Kernel(Functions):
     Its attributes are those of `fourbar_codegen.CompiledModel`.
     """
 
-    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None:  # noqa: ARG002  # Functions take it
+    def __init__(self, capsule: object, layout: Layout) -> None:  # noqa: ARG002  # Functions take it
         self.path = Path()
         self._sources_when_loaded: dict[str, str] | None = None
         self._later: bytes | None = None
         self.compares = True
         """Whether parts that are compiled later are compared: False after ``compile_model(model, check=False)``."""
-        self.name: str = manifest["name"]
-        self.coordinates: tuple[str, ...] = tuple(manifest["coordinates"])
-        self.speeds: tuple[str, ...] = tuple(manifest["speeds"])
-        self.auxiliary_states: tuple[str, ...] = tuple(manifest["auxiliary_states"])
-        self.states = (*self.coordinates, *self.speeds, *self.auxiliary_states)
-        self.parameters: tuple[str, ...] = tuple(entry["name"] for entry in manifest["parameters"])
-        self.inputs: tuple[str, ...] = tuple(entry["name"] for entry in manifest["inputs"])
-        self.prescribed: tuple[str, ...] = _prescribed(manifest)
-        self.outputs: tuple[str, ...] = tuple(manifest["outputs"])
-        self.points: tuple[str, ...] = tuple(entry["name"] for entry in manifest["points"] if entry["name"])
-        self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in manifest["forced_points"])
-        self.defaults: Mapping[str, float | None] = MappingProxyType(
-            {e["name"]: e["default"] for e in manifest["parameters"]}
-        )
-        self.units: dict[str, str] = {e["name"]: e["unit"] for e in manifest["parameters"]}
-        self.ranges: dict[str, tuple[float, float] | None] = {e["name"]: e["range"] for e in manifest["parameters"]}
-        self.descriptions: dict[str, str] = {e["name"]: e["description"] for e in manifest["parameters"]}
+        self.name: str = layout.name
+        self.coordinates: tuple[str, ...] = layout.coordinates
+        self.speeds: tuple[str, ...] = layout.speeds
+        self.auxiliary_states: tuple[str, ...] = layout.auxiliary_states
+        self.states: tuple[str, ...] = layout.states
+        self.parameters: tuple[str, ...] = tuple(entry.name for entry in layout.parameters)
+        self.inputs: tuple[str, ...] = tuple(entry.name for entry in layout.inputs)
+        self.prescribed: tuple[str, ...] = layout.prescribed
+        self.outputs: tuple[str, ...] = layout.outputs
+        self.points: tuple[str, ...] = tuple(entry.name for entry in layout.drawing.points if entry.name)
+        self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in layout.drawing.forced_points)
+        self.defaults: Mapping[str, float | None] = MappingProxyType({e.name: e.default for e in layout.parameters})
+        self.units: dict[str, str] = {e.name: e.unit for e in layout.parameters}
+        self.ranges: dict[str, tuple[float, float] | None] = {e.name: e.range for e in layout.parameters}
+        self.descriptions: dict[str, str] = {e.name: e.description for e in layout.parameters}
+
+    @property
+    def manifest(self) -> dict[str, Json]:
+        """The layout as data that JSON can hold, as in the manifest.json of generated sources."""
+        return self.layout.to_json()
 
     @classmethod
     def from_loaded(cls, loaded: Loaded) -> Self:
         """The model that was loaded, in the fastest version that the processor can run."""
         try:
-            model = cls(versions(loaded.kernel)[-1], loaded.manifest)
-        except (ValueError, KeyError) as error:
+            model = cls(versions(loaded.kernel)[-1], loaded.layout)
+        except ValueError as error:
             if isinstance(error, ModelError):  # a compiled model, of another layout
                 raise
             raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
@@ -101,7 +105,7 @@ class Kernel(Functions):
 
     def __reduce__(self) -> tuple[Any, ...]:
         path = str(self.path) if self.is_portable else None
-        return _restore, (type(self), self.name, path, self.manifest, self._sources(), self.compares, self._later)
+        return _restore, (type(self), self.name, path, self.layout, self._sources(), self.compares, self._later)
 
     def _sources(self) -> dict[str, str] | None:
         """The sources: those beside a library when it was loaded, or those that are beside a module now.
@@ -110,7 +114,7 @@ class Kernel(Functions):
         """
         if not self.is_portable:
             return self._sources_when_loaded
-        return sources_beside(self.path, self.name) if manifest_beside(self.path) == self.manifest else None
+        return sources_beside(self.path, self.name) if layout_beside(self.path) == self.layout else None
 
     def require_batch_functions(self) -> None:
         """Build and load the functions for several states side by side, if the model was built without them.
@@ -193,7 +197,7 @@ class Kernel(Functions):
             progress.stage(f"compiling {part.replace('_', ' ')}")
 
             def check(address: int) -> None:
-                model = type(self)(self.capsule, self.manifest)
+                model = type(self)(self.capsule, self.layout)
                 model._attach_parts_of(self)
                 attach(model, address)
                 compare(model)
@@ -209,7 +213,7 @@ class Kernel(Functions):
         )
         with Progress(f"fourbar_codegen: {self.name}") as progress:
             progress.stage("compiling to WebAssembly")
-            return page_module(self.name, sources, self.manifest)
+            return page_module(self.name, sources, self.layout)
 
     def _sources_of(self, part: str, otherwise: str) -> dict[str, str]:
         """All sources, if they have those of a part; an error otherwise."""
@@ -225,7 +229,7 @@ class Kernel(Functions):
     @property
     def residual_label(self) -> str:
         """The title of residuals of the constraints in plots and tables."""
-        return "Constraint residual" if self.manifest["velocity_rows"] else "Loop residual"
+        return "Constraint residual" if self.layout.constraints.velocity_rows else "Loop residual"
 
     @property
     def is_verified(self) -> bool:
@@ -243,7 +247,7 @@ class Kernel(Functions):
         >>> fb.load("four_bar").is_verified
         False
         """
-        return bool(self.manifest.get("compared"))  # modules of earlier versions do not say
+        return bool(self.layout.compared)
 
     @property
     def energy_without(self) -> tuple[str, ...]:
@@ -252,7 +256,7 @@ class Kernel(Functions):
         Also loads that depend on coordinates, if the speeds are too few to tell whether they have a potential.
         The energy of a run then changes by their work. Give ``potential_energy=`` to the Model to include them.
         """
-        return tuple(self.manifest.get("energy_without", ()))  # modules of earlier versions do not say
+        return self.layout.potential_energy.without
 
     def title(self, name: str) -> str:
         """The name of a quantity in plots and tables; an energy's says what it leaves out."""
@@ -293,8 +297,8 @@ class Kernel(Functions):
 
     def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
         """Rates of 0 for inputs that r gives without their rates: such an input is at rest."""
-        in_force = zip(self.manifest["inputs"], self.defaults_in_force(r), strict=True)
-        return {entry["name"]: 0.0 for entry, expression in in_force if entry["order"] and not expression}
+        in_force = zip(self.layout.inputs, self.defaults_in_force(r), strict=True)
+        return {entry.name: 0.0 for entry, expression in in_force if entry.order and not expression}
 
     def held_inputs(self, r: Values) -> list[tuple[int, float]] | None:
         """Places and values of the inputs that a mapping names, and of their rates, which are 0 unless it names them.
@@ -312,12 +316,12 @@ class Kernel(Functions):
         if r is None or not is_mapping(r):
             return super().defaults_in_force(r)
         given = {name_of(key) for key in r}
-        return [given.isdisjoint({entry["name"], entry["of"]}) for entry in self.manifest["inputs"]]
+        return [given.isdisjoint({entry.name, entry.of}) for entry in self.layout.inputs]
 
     def missing(self) -> str:
         """The message that names parameters and inputs without a default."""
         parameters = [name for name, value in self.defaults.items() if value is None]
-        inputs = [entry["name"] for entry in self.manifest["inputs"] if entry["expression"] is None]
+        inputs = [entry.name for entry in self.layout.inputs if entry.expression is None]
         parts = [
             f"{kind} {', '.join(names)}" for kind, names in (("parameters", parameters), ("inputs", inputs)) if names
         ]
@@ -431,7 +435,7 @@ class Kernel(Functions):
 
     def _projection(self, jacobian: Floats) -> Floats:
         """T with u = T u_i + ... for the model's own independent speeds, shape (n_u, n_ui)."""
-        n_i = self.n_u - self.manifest["n_dependent_speeds"]
+        n_i = self.layout.n_independent_speeds
         return np.vstack((np.eye(n_i), eliminate(jacobian, n_i, self.speeds[n_i:])))
 
     def position_constraints(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
@@ -600,14 +604,14 @@ class Kernel(Functions):
         >>> fb.load("four_bar").potential_energy(0.0, [0.0] * 6)
         0.0
         """
-        if not self.manifest["has_potential_energy"]:
+        if not self.layout.potential_energy.is_known:
             raise ModelError(
                 f"The potential energy of {self.name} is not known: a constant force acts at a point whose position "
                 "relative to a fixed point is not defined, or whose velocity is not the rate of that position; or the "
                 "loss of the bodies' potentials is not the work of loads. Give potential_energy= to the Model."
             )
         energy = self.energy(t, x, p, r).item(1)
-        if r is None and math.isnan(energy) and any(e["expression"] is None for e in self.manifest["inputs"]):
+        if r is None and math.isnan(energy) and any(e.expression is None for e in self.layout.inputs):
             raise ModelError(self.missing())
         return self._finite_number(energy, t, x)
 
@@ -617,24 +621,17 @@ def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
     return np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
 
 
-def _prescribed(manifest: Mapping[str, Any]) -> tuple[str, ...]:
-    """The inputs that prescribe motions: that positions depend on, or of which rates are needed."""
-    entries = manifest["inputs"]
-    moving = {entries[place]["of"] for place in manifest["moving_inputs"]}
-    return tuple(dict.fromkeys(entry["of"] for entry in entries if entry["order"] or entry["of"] in moving))
-
-
 def _restore(
     kind: type[Kernel],
     name: str,
     path: str | None,
-    manifest: dict[str, Any],
+    layout: Layout,
     sources: Mapping[str, str] | None,
     compares: bool = True,
     later: bytes | None = None,
 ) -> Kernel:
     """A model from another process, possibly on another machine, whose later parts are compared or not."""
-    model = _found(kind, name, path, manifest, sources, later)
+    model = _found(kind, name, path, layout, sources, later)
     model.compares = compares
     return model
 
@@ -643,7 +640,7 @@ def _found(
     kind: type[Kernel],
     name: str,
     path: str | None,
-    manifest: dict[str, Any],
+    layout: Layout,
     sources: Mapping[str, str] | None,
     later: bytes | None,
 ) -> Kernel:
@@ -656,11 +653,11 @@ def _found(
     if path is not None and Path(path).is_file():
         with suppress(ModelError):
             model = kind.from_file(Path(path))
-            if model.manifest == manifest:
+            if model.layout == layout:
                 return model
     with suppress(ModelError):
-        found = kind.find(name, manifest["fingerprint"])
-        if found is not None and found.manifest == manifest:
+        found = kind.find(name, layout.fingerprint)
+        if found is not None and found.layout == layout:
             return found
     if sources is None:
         raise ModelError(
@@ -668,4 +665,4 @@ def _found(
             "were not beside it, or are those of a later build. Install its wheel, or send the module of build_model "
             "from the folder that has its sources."
         )
-    return kind.from_loaded(load_from_sources(name, sources, manifest, later))
+    return kind.from_loaded(load_from_sources(name, sources, layout, later))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import json
 import os
 import pickle
 import shutil
@@ -16,7 +15,7 @@ from functools import partial
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
-from typing import Any, Literal, TypeVar
+from typing import Literal, TypeVar
 
 from fourbar_codegen.building.cache import cached, find_cached, is_whole
 from fourbar_codegen.building.library import (
@@ -26,13 +25,13 @@ from fourbar_codegen.building.library import (
     SUFFIXES,
     build_part,
     install,
-    manifest_of,
     numbers_path,
     removed,
 )
 from fourbar_codegen.building.toolchain import digest_of, generator, library_toolchain
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files import path_of
+from fourbar_codegen.layout import Layout
 from fourbar_codegen.runtime.evaluator import kernel_at
 
 __all__ = [
@@ -40,13 +39,13 @@ __all__ = [
     "cache_key",
     "generated",
     "is_named",
+    "layout_beside",
     "load_cached",
     "load_file",
     "load_from_sources",
     "load_known",
     "load_named",
     "load_part",
-    "manifest_beside",
     "shipped_sources",
     "sources_beside",
 ]
@@ -65,7 +64,7 @@ class Loaded:
     ----------
     kernel : object
         The capsule of its kernel, which may have faster versions; see `evaluator.versions`.
-    manifest : dict
+    layout : Layout
     path : Path
     sources : dict of str to str or None
         Text by file name, from which other parts of a library are built; None for a module, which has all parts.
@@ -74,7 +73,7 @@ class Loaded:
     """
 
     kernel: object
-    manifest: dict[str, Any]
+    layout: Layout
     path: Path
     sources: dict[str, str] | None = None
     later: bytes | None = None
@@ -130,7 +129,7 @@ def load_known(name: str, fingerprint: str) -> Loaded | None:
         return None
     if name in _prebuilt():
         found = load_named(name)
-        if found.manifest["fingerprint"] == fingerprint:
+        if found.layout.fingerprint == fingerprint:
             return found
     path = (
         _installed(name, fingerprint)
@@ -260,8 +259,10 @@ def _import(path: Path) -> ModuleType:
 
 def _of_module(module: ModuleType) -> Loaded:
     try:
-        return Loaded(module.kernel, json.loads(module.manifest), Path(str(module.__file__)))
-    except (AttributeError, ValueError) as error:
+        return Loaded(module.kernel, Layout.from_text(module.manifest), Path(str(module.__file__)))
+    except ModelError:  # of another version
+        raise
+    except (AttributeError, ValueError, KeyError, TypeError) as error:
         raise ModelError(f"{module.__name__} is not a compiled model: {error}.") from error
 
 
@@ -277,25 +278,26 @@ def _of_library(library: ctypes.CDLL, path: Path) -> Loaded:
     while (line := table.structure[len(lines)]) is not None:
         lines.append(line)
     try:
-        numbers = json.loads(numbers_path(path).read_text(encoding="utf-8"))
-        manifest = manifest_of(json.loads(b"".join(lines)), numbers)
+        layout = Layout.from_parts(b"".join(lines), numbers_path(path).read_text(encoding="utf-8"))
+    except ModelError:  # of another version
+        raise
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ModelError(
             f"{path} is a model without its numbers: {numbers_path(path).name} beside it must contain its defaults, "
             f"units and initial values ({error})."
         ) from error
-    name = manifest["name"]
+    name = layout.name
     later = path.with_name(f"{name}{LATER}")
     sources = sources_beside(path, name)
     known = later.read_bytes() if sources is not None and later.is_file() else None
-    return Loaded(kernel_at(table.kernel), manifest, path, sources, known)
+    return Loaded(kernel_at(table.kernel), layout, path, sources, known)
 
 
-def manifest_beside(path: Path) -> Any:
-    """The manifest beside a module, or None where there is none."""
+def layout_beside(path: Path) -> Layout | None:
+    """The layout beside a module, or None where there is none."""
     try:
-        return json.loads(path.with_name("manifest.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
+        return Layout.from_text(path.with_name("manifest.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
 
 
@@ -317,14 +319,12 @@ def is_named(path: Path, name: str, fingerprint: str) -> bool:
     return path.parent == Path(__file__).parents[1] / "prebuilt" or _installed(name, fingerprint) is not None
 
 
-def load_from_sources(
-    name: str, sources: Mapping[str, str], manifest: Mapping[str, Any], later: bytes | None
-) -> Loaded:
-    """Load the model of generated sources and a manifest, built for this machine in the cache."""
-    key = cache_key([sources, manifest])
+def load_from_sources(name: str, sources: Mapping[str, str], layout: Layout, later: bytes | None) -> Loaded:
+    """Load the model of generated sources and a layout, built for this machine in the cache."""
+    key = cache_key([sources, layout.to_json()])
 
     def build(folder: Path) -> Path:
-        return install(name, sources, manifest, folder, later=later)
+        return install(name, sources, layout, folder, later=later)
 
     return load_cached(lambda: cached(name, key, build))
 
@@ -420,11 +420,10 @@ def _installed(name: str, fingerprint: str | None = None) -> Path | None:
     spec = machinery.PathFinder.find_spec(name, [place for place in sys.path if not _is_current(place)])
     for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
         try:
-            manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
-            found = manifest["name"], manifest["fingerprint"]
+            layout = Layout.from_text((folder / "manifest.json").read_text(encoding="utf-8"))
         except (OSError, ValueError, TypeError, KeyError, RecursionError):  # a package, but no model
             continue
-        if found[0] == name and fingerprint in (None, found[1]):
+        if layout.name == name and fingerprint in (None, layout.fingerprint):
             modules = (folder / f"{name}{suffix}" for suffix in machinery.EXTENSION_SUFFIXES)
             return next((module for module in modules if module.is_file()), None)
     return None

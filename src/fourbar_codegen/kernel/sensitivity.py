@@ -99,7 +99,7 @@ class Directions:
     def of_inputs(self, model: Kernel, times: Floats, p: Floats | None, inputs: Mapping[Any, InputSource]) -> Floats:
         """The directions of the inputs at times, shape (n_r, n, n_t)."""
         found = np.zeros((model.n_r, self.matrix.shape[1], len(times)))
-        masks = [int(mask, 16) >> model.n_x for mask in model.manifest["dependencies"]["default_inputs"]]
+        masks = [mask >> model.n_x for mask in model.layout.dependencies.rows["default_inputs"]]
         if any(mask % (1 << model.n_p) for mask in masks):  # expressions of parameters
             of_parameters, given = self.matrix[model.n_x :], input_sources(model, inputs)
             for place, t in enumerate(times):
@@ -122,7 +122,7 @@ def directions_of(model: Kernel, names: Sequence[Any], inputs: Mapping[Any, Inpu
     """
     independent, given = _independent(model), _given(inputs)
     known, wanted = (*model.states, *model.parameters), tuple(map(name_of, names))
-    own = {entry["name"]: entry["expression"] for entry in model.manifest["inputs"] if not entry["order"]}
+    own = {entry.name: entry.expression for entry in model.layout.inputs if not entry.order}
     places: dict[str, int | slice] = {}
     n, changes = 0, {}
     for name in wanted:
@@ -180,7 +180,7 @@ def with_probes(
     n_x, n_r = model.n_x, model.n_r
     given = {name_of(key): own_source(name_of(key), source) for key, source in (inputs or {}).items()}
     tables = [name for name, source in given.items() if isinstance(source, tuple)]
-    of_time = {*model.manifest["timed"]}.union(*(model.manifest["timed_by"][name] for name in tables))
+    of_time = {*model.layout.dependencies.timed}.union(*(model.layout.dependencies.timed_by[name] for name in tables))
     changes = {name: arbitrary_changes(model, name, source, PROBES, generator) for name, source in given.items()}
     together = {place: change for of_name in changes.values() for place, change in of_name.items()}
     states, others = np.zeros((2, n_x + model.n_p, PROBES))
@@ -273,7 +273,7 @@ def _followed(
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Floats, list[str]]:
     """What `follow` returns, and the names of directions in which redundant constraints do not stay satisfied."""
-    if not model.manifest["n_dependent_coordinates"] + model.manifest["n_dependent_speeds"]:
+    if not model.layout.n_dependent_coordinates + model.layout.n_dependent_speeds:
         return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
     dependent = _Dependent.of(model, t, directions, p, inputs)
@@ -295,7 +295,7 @@ def locked_parameters(
     """The parameters that redundant constraints do not let change alone, such as a length in a parallelogram with a bar
     too many: at one of these times and states they would be violated.
     """
-    if model.n_c <= model.manifest["n_dependent_speeds"]:
+    if model.n_c <= model.layout.n_dependent_speeds:
         return set()
     directions, p = directions_of(model, model.parameters), model.parameter_vector(parameters)
     found: set[str] = set()
@@ -317,7 +317,7 @@ def _locked(
     """
     allowed = REDUNDANT + OPENED * max(np.abs(change).max(initial=0.0), left[-1])
     is_left = left[:-1] > allowed
-    if dependent.model.n_c > dependent.model.manifest["n_dependent_speeds"]:
+    if dependent.model.n_c > dependent.model.layout.n_dependent_speeds:
         is_left |= [dependent.opens(x, found, j, allowed) for j in range(len(is_left))]
     return [name for name, place in directions.places.items() if np.any(is_left[place])]
 
@@ -406,8 +406,8 @@ class _Dependent(NamedTuple):
 
     def at(self, x: Floats) -> tuple[str, Floats, Floats, float, Floats]:
         """As `dependent_changes`, without rows of the inputs."""
-        model, manifest = self.model, self.model.manifest
-        n_qd, n_ud = manifest["n_dependent_coordinates"], manifest["n_dependent_speeds"]
+        model, layout = self.model, self.model.layout
+        n_qd, n_ud = layout.n_dependent_coordinates, layout.n_dependent_speeds
         found = dependent_changes(model, self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
         missing, followed, change, pivot, left = found
         return missing, followed[: model.n_x + model.n_p], change, pivot, left
@@ -429,8 +429,8 @@ def initial_derivatives(
         Without those for which redundant constraints do not stay satisfied.
     """
     names = differentiable(model, inputs) if names is None else names
-    entries, given = model.manifest["inputs"], _given(inputs)
-    moving = {entries[place]["of"] for place in model.manifest["moving_inputs"]}
+    entries, given = model.layout.inputs, _given(inputs)
+    moving = {entry.of for entry in entries if entry.moves}
     none = {  # no state depends on a force
         name: np.zeros((len(source[0]), model.n_x) if isinstance(source, tuple) else model.n_x)
         for name, source in given.items()
@@ -465,8 +465,7 @@ def require_fixed_breakpoints(model: Kernel, parameters: Floats | None, names: S
 
 def independent_states(model: Kernel) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     """The names of the independent coordinates and speeds, and of the auxiliary states."""
-    manifest = model.manifest
-    n_qi, n_ui = model.n_q - manifest["n_dependent_coordinates"], model.n_u - manifest["n_dependent_speeds"]
+    n_qi, n_ui = model.layout.n_independent_coordinates, model.layout.n_independent_speeds
     return model.coordinates[:n_qi], model.speeds[:n_ui], model.auxiliary_states
 
 

@@ -19,7 +19,6 @@ from fourbar_codegen.dynamics.variations import Variations
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
-from fourbar_codegen.layout import Needs, Role
 from fourbar_codegen.lowering.angles import add_angles
 from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
 from fourbar_codegen.lowering.elimination import (
@@ -39,6 +38,7 @@ from fourbar_codegen.lowering.program import (
     Statements,
     Structure,
 )
+from fourbar_codegen.roles import Needs, Role
 
 __all__ = ["lower", "lower_derivatives", "lower_variations"]
 

@@ -10,7 +10,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
-from fourbar_codegen.layout import Role
+from fourbar_codegen.layout import Form
+from fourbar_codegen.roles import Role
 
 __all__ = [
     "Array",
@@ -284,11 +285,11 @@ class Program:
     forces_are_linear: bool
 
     @property
-    def form(self) -> str:
-        """How the equations are solved: "dense", "sparse" or "recursive"."""
+    def form(self) -> Form:
+        """How accelerations are solved for."""
         if self.factors is not None:
-            return "recursive"
-        return "dense" if self.structure is None else "sparse"
+            return Form.RECURSIVE
+        return Form.DENSE if self.structure is None else Form.SPARSE
 
     @property
     def parameters(self) -> tuple[Leaf, ...]:

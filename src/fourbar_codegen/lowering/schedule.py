@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import sympy as sm
 
 from fourbar_codegen.expressions.tape import ONE, Call, Scalar, operands
-from fourbar_codegen.layout import Role
 from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS
 from fourbar_codegen.lowering.program import Function, Program
+from fourbar_codegen.roles import Role
 
 __all__ = [
     "TOGETHER",

@@ -285,7 +285,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         wrap=True,
     )
     low, high = drawn.positions.min(axis=(0, 2)), drawn.positions.max(axis=(0, 2))
-    n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
+    n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
         _draw(axes, drawn)(number)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)

@@ -115,8 +115,8 @@ def _text(
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
     check_free(model.outputs, {name for name in names if names.count(name) > 1})
     modes = _modes(run)
-    guides = [shape["points"] for shape in model.manifest["shapes"] if shape["kind"] == "slider"]
-    forces = model.manifest["forced_points"]
+    guides = [shape.points for shape in model.layout.drawing.shapes if shape.kind == "slider"]
+    forces = model.layout.drawing.forced_points
     n_rows = len(found.positions) + len(forces)
     arrows = {point: len(found.positions) + number for number, point in enumerate(forces)}
     pictured = scene_data(found, arrows, found.unit)
@@ -134,7 +134,7 @@ def _text(
     data = {
         "name": model.name,
         "states": model.states,
-        "angles": model.manifest["angles"],
+        "angles": model.layout.angles,
         "n_q": model.n_q,
         "n_u": model.n_u,
         "parameters": [
@@ -148,7 +148,7 @@ def _text(
             for name, value in initial.items()
         ],
         "inputs": _inputs(run),
-        "entries": [{"name": entry["of"], "order": entry["order"]} for entry in model.manifest["inputs"]],
+        "entries": [{"name": entry.of, "order": entry.order} for entry in model.layout.inputs],
         "modes": [mode.tolist() for mode in modes],
         "frames": {"rate": FRAMES_PER_SECOND, "least": MIN_FRAMES, "most": MAX_FRAMES},
         "arrow": ARROW,
@@ -160,7 +160,7 @@ def _text(
         "energies": names.index("kinetic energy", model.n_x + model.n_r + model.n_o),
         "figures": _figures(model, names, watch),
         "turn": found.view.turn.tolist(),
-        "points": len(model.manifest["points"]),
+        "points": len(model.layout.drawing.points),
         "guides": guides,
         "forces": forces,
         "rows": n_rows,
@@ -193,7 +193,7 @@ def _neighbours(run: Trajectory, size: float) -> list[Floats]:
     found = []
     for share in (NEARBY, -NEARBY / 2.0, NEARBY / 8.0):
         values = dict(zip(model.parameters, _parameters(run), strict=True))
-        for number, name in enumerate(model.manifest["geometry"], start=1):
+        for number, name in enumerate(model.layout.geometry, start=1):
             values[name] += share * math.sin(number) * (abs(values[name]) or size)
         try:
             x = _closed(run, values)
@@ -205,7 +205,7 @@ def _neighbours(run: Trajectory, size: float) -> list[Floats]:
 
 def _independent(model: Kernel, x: Floats) -> dict[str, Any]:
     """The independent coordinates and speeds and the auxiliary states in a state, as `initial_state` takes them."""
-    ends = (model.n_q - model.manifest["n_dependent_coordinates"], model.n_u - model.manifest["n_dependent_speeds"])
+    ends = (model.layout.n_independent_coordinates, model.layout.n_independent_speeds)
     values = dict(zip(model.states, map(float, x), strict=True))
     kinds = {
         "coordinates": model.coordinates[: ends[0]],
@@ -218,7 +218,7 @@ def _independent(model: Kernel, x: Floats) -> dict[str, Any]:
 def _closed(run: Trajectory, values: dict[str, float]) -> Floats:
     """The initial state of a run with other parameters."""
     model, x = run.model, run.y[:, 0]
-    guess = x[model.n_q - model.manifest["n_dependent_coordinates"] : model.n_q]
+    guess = x[model.layout.n_independent_coordinates : model.n_q]
     return initial_state(
         model, **_independent(model, x), t=float(run.t[0]), guess=guess, parameters=values, inputs=run.inputs
     )
@@ -227,13 +227,13 @@ def _closed(run: Trajectory, values: dict[str, float]) -> Floats:
 def _modes(run: Trajectory) -> list[Floats]:
     """The initial state of the run, and those of the other assembly modes."""
     model, first = run.model, run.y[:, 0]
-    if not model.manifest["n_dependent_coordinates"]:
+    if not model.layout.n_dependent_coordinates:
         return [first]
     parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = initial_states(
         model, **_independent(model, first), t=float(run.t[0]), parameters=parameters, inputs=run.inputs
     )
-    angles = np.array([name in model.manifest["angles"] for name in model.coordinates])
+    angles = np.array([name in model.layout.angles for name in model.coordinates])
     modes = [first]
     for mode in found if not found.free else ():
         difference = mode[: model.n_q] - first[: model.n_q]
@@ -258,7 +258,7 @@ def _around(value: float, unit: str, size: float) -> tuple[float, float]:
 
 def _around_initial(model: Kernel, name: str, value: float, size: float) -> tuple[float, float]:
     """The range of an initial value: half a turn for angles, the mechanism's size for displacements."""
-    if name in model.manifest["angles"]:
+    if name in model.layout.angles:
         half = math.pi
     elif name in model.coordinates:
         half = _rounded(size)
@@ -277,12 +277,12 @@ def _inputs(run: Trajectory) -> list[dict[str, Any]]:
     """Each input: its expression, what it begins as, what it can be, and the size of its values."""
     model, given = run.model, {} if run.inputs is None else named(run.inputs, run.model.inputs, "input")
     inputs = []
-    for place, entry in enumerate(model.manifest["inputs"]):
-        if entry["order"]:
+    for place, entry in enumerate(model.layout.inputs):
+        if entry.order:
             continue
-        name, source = entry["name"], given.get(entry["name"])
+        name, source = entry.name, given.get(entry.name)
         kinds = ["constant", "line", "sine"] if name in model.prescribed else ["constant", "sine", "step", "ramp"]
-        if entry["expression"] is not None:
+        if entry.expression is not None:
             kinds.insert(0, "expression")
         signal: dict[str, Any] = {"kind": "expression", "values": []}
         if isinstance(source, tuple):
@@ -295,7 +295,7 @@ def _inputs(run: Trajectory) -> list[dict[str, Any]]:
         inputs.append(
             {
                 "name": name,
-                "expression": entry["expression"],
+                "expression": entry.expression,
                 "kinds": kinds,
                 "signal": signal,
                 "scale": scale,
@@ -312,9 +312,9 @@ def _panels(run: Trajectory) -> list[dict[str, Any]]:
     for title, names, is_logarithmic in panel_names(model):
         columns = list(range(begin, begin + len(names)))
         begin += len(names)
-        if title == ENERGY and not model.manifest["has_potential_energy"]:
+        if title == ENERGY and not model.layout.potential_energy.is_known:
             columns = columns[:1]
-        if columns and not (is_logarithmic and not model.n_c + len(model.manifest["invariants"])):
+        if columns and not (is_logarithmic and not model.n_c + len(model.layout.constraints.invariants)):
             is_open = not panels or (title == ENERGY and has_energy)
             panels.append({"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open)})
     return panels
@@ -339,6 +339,6 @@ def _figures(model: Kernel, names: list[str], watch: Sequence[tuple[str, str]] |
 
 def _python(model: Kernel) -> str:
     """The line of Python that loads the model."""
-    if is_named(model.path, model.name, model.manifest["fingerprint"]):
+    if is_named(model.path, model.name, model.layout.fingerprint):
         return f'model = fb.load("{model.name}")'
-    return f"# model is the compiled model {model.name}, fingerprint {model.manifest['fingerprint'][:16]}."
+    return f"# model is the compiled model {model.name}, fingerprint {model.layout.fingerprint[:16]}."

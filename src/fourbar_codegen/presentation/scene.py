@@ -143,7 +143,7 @@ def view_of(model: Kernel, positions: Floats) -> View:
     """The view of a model's points, shape (n_points, 3, n_t)."""
     size, extents = extent(positions)
     flat = [axis for axis in (2, 1, 0) if extents[axis] <= PLANAR * size]
-    axes, gravity = np.eye(3), model.manifest["gravity"]
+    axes, gravity = np.eye(3), model.layout.drawing.gravity
     down = None if gravity is None else np.array(gravity, dtype=float)
     if flat:
         normal = next((axis for axis in flat if down is None or not down[axis]), flat[0])
@@ -251,9 +251,9 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     """
     if not model.points:
         raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
-    if model.manifest["not_drawn"]:
+    if model.layout.drawing.not_drawn:
         warnings.warn(
-            f"Points of {model.name} that are not drawn: {', '.join(model.manifest['not_drawn'])}. Their positions "
+            f"Points of {model.name} that are not drawn: {', '.join(model.layout.drawing.not_drawn)}. Their positions "
             "take frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
             ModelWarning,
             stacklevel=5,
@@ -262,14 +262,14 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     view = view_of(model, named) if view is None else view
     size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
-    links = [positions[shape["points"]] for shape in model.manifest["shapes"] if shape["kind"] == "link"]
+    links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]
     unit = UNIT * min(size, LINKS * max((extent(link[:, :, :1])[0] for link in links), default=size))
     rows, lines, symbols = list(positions), list[Line](), list[Symbol]()
     holders: dict[int, set[int]] = {}
     """Points, one for each position, and the numbers of the shapes that have a point there."""
     kinds: dict[str, set[int]] = {}
-    for number, shape in enumerate(model.manifest["shapes"]):
-        kind, points = shape["kind"], tuple(shape["points"])
+    for number, shape in enumerate(model.layout.drawing.shapes):
+        kind, points = shape.kind, shape.points
         kinds.setdefault(kind, set()).add(number)
         for point in points[:1] if kind == "slider" else points:
             same = (other for other in holders if _coincide(positions, point, other, TOUCHING * size))
@@ -290,11 +290,11 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     shared = {point: numbers for point, numbers in holders.items() if len(numbers) > 1}
     symbols += [Symbol("ground", point) for point, numbers in shared.items() if numbers & ground]
     symbols += [Symbol("pin", point) for point, numbers in shared.items() if len(numbers & jointed) > 1]
-    entries = model.manifest["points"]
-    masses = [point for point, entry in enumerate(entries) if entry["body"] is not None]
+    entries = model.layout.drawing.points
+    masses = [point for point, entry in enumerate(entries) if entry.body is not None]
     still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
-    bodies = tuple(entry["body"] for entry in entries[: len(model.points)])
+    bodies = tuple(entry.body for entry in entries[: len(model.points)])
     return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
 
 

@@ -70,7 +70,7 @@ def versions() -> dict[str, str]:
 
 def _model_of(model: Kernel) -> dict[str, Any]:
     """The model, and what computed with it."""
-    return {"model": model.name, "fingerprint": model.manifest["fingerprint"], "versions": versions()}
+    return {"model": model.name, "fingerprint": model.layout.fingerprint, "versions": versions()}
 
 
 def _origin(model: Kernel, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -283,10 +283,10 @@ def read_trajectory(path: str | Path, model: Kernel | None, find: Callable[[str,
                 f"load_trajectory({str(path)!r}, model=compile_model(...)), or as model=load(...) with the path of the "
                 "module that build_model made."
             )
-        if fingerprint != model.manifest["fingerprint"]:
+        if fingerprint != model.layout.fingerprint:
             raise ModelError(
                 f"{path} is a run of another model, {name!r} with the fingerprint {fingerprint[:16]!r}: {model.name} "
-                f"has {model.manifest['fingerprint'][:16]}. Give the model that was run as model=."
+                f"has {model.layout.fingerprint[:16]}. Give the model that was run as model=."
             )
         return _trajectory(model, attributes, columns)
     except FourbarError:

@@ -67,7 +67,7 @@ class Branch:
     def _drawn(self) -> Floats:
         """Positions, velocities and accelerations of all drawn points, shape (3, n_points, 3, n)."""
         model, n = self.model, self.q.shape[1]
-        found = np.full((3, len(model.manifest["points"]), 3, n), np.nan)
+        found = np.full((3, len(model.layout.drawing.points), 3, n), np.nan)
         for k in np.flatnonzero(np.isfinite(self.q).all(axis=0)):
             is_known = np.isfinite(self.ud[:, k]).all()
             state = np.concatenate(

@@ -161,7 +161,7 @@ class Trajectory:
         Phi of the position constraints, n_h rows; then J u + b of the nonholonomic constraints.
         """
         positions, velocities, *_ = self._derived
-        return np.concatenate((positions, velocities[self.model.manifest["velocity_rows"]]))
+        return np.concatenate((positions, velocities[list(self.model.layout.constraints.velocity_rows)]))
 
     @property
     def residual_label(self) -> str:

@@ -147,7 +147,7 @@ cdef class Evaluator:
     cdef fb_kernel own
     cdef fb_function *functions
     cdef readonly object capsule
-    cdef readonly dict manifest
+    cdef readonly object layout
     cdef readonly int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o
     cdef double *default_constants
     cdef double *constants

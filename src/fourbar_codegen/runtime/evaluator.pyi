@@ -1,10 +1,11 @@
 """Types of the compiled module evaluator.pyx, which holds the documentation."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.layout import Layout
 
 Floats = NDArray[np.float64]
 Values = ArrayLike | Mapping[object, float]
@@ -33,8 +34,8 @@ class Evaluator:
     n_l: int
     n_i: int
     n_o: int
-    manifest: dict[str, Any]
-    def __init__(self, capsule: object, manifest: dict[str, Any]) -> None: ...
+    layout: Layout
+    def __init__(self, capsule: object, layout: Layout) -> None: ...
     @property
     def capsule(self) -> object: ...
     @property

@@ -37,9 +37,9 @@ _FOLLOWS = {FB_FOLLOWS: "", FB_COORDINATES_DO_NOT: "coordinates", FB_SPEEDS_DO_N
 OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
 
-cdef object _other_layout(manifest):
+cdef object _other_layout(layout):
     return ModelError(
-        f"The compiled model {manifest['name']} was built with another version of this package (whose kernel "
+        f"The compiled model {layout.name} was built with another version of this package (whose kernel "
         f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
 
 
@@ -218,20 +218,20 @@ cdef class Evaluator:
     ----------
     capsule : object
         The kernel that a generated module exports.
-    manifest : dict
-        The manifest of the same module, decoded.
+    layout : Layout
+        The description that comes with it.
     """
 
     # All threads share one set of buffers. A method first reads its arguments, which may run Python and switch
     # threads, then fills the buffers and calls the kernel without running Python in between.
 
-    def __cinit__(self, capsule, manifest):
+    def __cinit__(self, capsule, layout):
         cdef const fb_kernel *kernel = _kernel_in(capsule)
         if (kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel)
                 or kernel.n_roles != FB_N_ROLES):
-            raise _other_layout(manifest)
+            raise _other_layout(layout)
         if kernel.batch_functions != NULL and not fb_batch_functions_agree(kernel.batch_functions):
-            raise _other_layout(manifest)
+            raise _other_layout(layout)
         self.functions = <fb_function *>PyMem_Calloc(FB_N_ROLES, sizeof(fb_function))
         if not self.functions:
             raise MemoryError
@@ -239,7 +239,7 @@ cdef class Evaluator:
         self.own = kernel[0]  # a copy, to which parts that are built separately are attached
         self.own.functions = self.functions
         self.kernel = &self.own
-        self.capsule, self.manifest = capsule, manifest
+        self.capsule, self.layout = capsule, layout
         for part in (<size_t>kernel.derivatives, <size_t>kernel.variations):
             if part:
                 self._attach(part)
@@ -252,11 +252,11 @@ cdef class Evaluator:
         self.work = PyMem_Malloc(kernel.work_size)
         if not (self.default_constants and self.constants and self.inputs and self.work):
             raise MemoryError
-        values = [NAN if entry["default"] is None else entry["default"] for entry in manifest["parameters"]]
+        values = [NAN if entry.default is None else entry.default for entry in layout.parameters]
         self.default_parameters = vector(values, self.n_p, "The default parameters")
         self.has_defaults = fb_finite(data(self.default_parameters), self.n_p)
-        unknown = {place for place, entry in enumerate(manifest["inputs"]) if entry["expression"] is None}
-        self.has_inputs, self.has_motions = not unknown, not unknown & set(manifest["moving_inputs"])
+        unknown = {place for place, entry in enumerate(layout.inputs) if entry.expression is None}
+        self.has_inputs, self.has_motions = not unknown, not unknown & set(layout.prescribed_places)
         kernel.prepare(data(self.default_parameters), self.default_constants)
 
     def __dealloc__(self):
@@ -302,7 +302,7 @@ cdef class Evaluator:
             If they were built with another version of the package.
         """
         if not fb_batch_functions_agree(<const fb_batch_functions *>address):
-            raise _other_layout(self.manifest)
+            raise _other_layout(self.layout)
         self.own.batch_functions = <const fb_batch_functions *>address
 
     def _attach(self, size_t address):
@@ -314,7 +314,7 @@ cdef class Evaluator:
             If it was built with another version of the package.
         """
         if not fb_attach(self.functions, <const fb_part *>address):
-            raise _other_layout(self.manifest)
+            raise _other_layout(self.layout)
 
     def require_derivatives(self):
         """Attach the derivatives; a subclass that has their sources builds them."""
@@ -457,8 +457,8 @@ cdef class Evaluator:
 
     def too_few_dependent(self, where, rank=None):
         """A sentence for a rank of the velocity constraints that is larger than the number of dependent speeds."""
-        n = self.manifest["n_dependent_speeds"]
-        dependent = self.manifest["speeds"][self.n_u - n:]
+        n = self.layout.n_dependent_speeds
+        dependent = self.layout.speeds[self.n_u - n:]
         return (
             f"{rank or f'More than {n}'} velocity constraints are independent of each other {where}, but the model has "
             f"{n} dependent speed{'' if n == 1 else 's'} ({', '.join(dependent) or 'none'}): name one for each."
@@ -681,7 +681,7 @@ cdef class Evaluator:
         >>> four_bar.output_jacobian(0.0, four_bar.initial_state()).shape
         (0, 6)
         """
-        self.require_output_derivatives(self.manifest["outputs"])
+        self.require_output_derivatives(self.layout.outputs)
         t = time_of(t)
         return self._differentiate_outputs(
             FB_STATE_PARTIALS, FB_OUTPUT_STATE_PARTIALS, self.n_x, t, x, p, r)
@@ -712,7 +712,7 @@ cdef class Evaluator:
         >>> four_bar.output_parameter_jacobian(0.0, four_bar.initial_state()).shape
         (0, 8)
         """
-        self.require_output_derivatives(self.manifest["outputs"])
+        self.require_output_derivatives(self.layout.outputs)
         t = time_of(t)
         cdef cnp.ndarray result = self._differentiate_outputs(
             FB_PARAMETER_PARTIALS, FB_OUTPUT_PARAMETER_PARTIALS, self.n_p, t, x, p, r)
@@ -747,14 +747,14 @@ cdef class Evaluator:
         >>> four_bar.output_input_jacobian(0.0, four_bar.initial_state()).shape
         (0, 1)
         """
-        self.require_output_derivatives(self.manifest["outputs"])
+        self.require_output_derivatives(self.layout.outputs)
         t = time_of(t)
         return self._differentiate_outputs(
             FB_INPUT_PARTIALS, FB_OUTPUT_INPUT_PARTIALS, self.n_r, t, x, p, r)
 
     def require_output_derivatives(self, names):
         """Raise a ModelError if redundant constraints leave the derivatives of some of these outputs undetermined."""
-        left_open = [name for name in names if name in self.manifest["open_outputs"]]
+        left_open = [name for name in names if name in self.layout.undetermined_outputs]
         if left_open:
             raise ModelError(
                 f"The outputs {', '.join(left_open)} contain multipliers, which redundant constraints leave "

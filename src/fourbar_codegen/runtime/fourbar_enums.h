@@ -1,4 +1,4 @@
-/* Enumerations that C and Python share, written by `python -m fourbar_codegen.layout`. */
+/* Enumerations that C and Python share, written by `python -m fourbar_codegen.roles`. */
 #ifndef FOURBAR_ENUMS_H
 #define FOURBAR_ENUMS_H
 

@@ -1,11 +1,12 @@
 """Types of the compiled module integrator.pyx, which holds the documentation."""
 
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fourbar_codegen.layout import Layout
 from fourbar_codegen.runtime.functions import Functions, Values
 
 Floats = NDArray[np.float64]
@@ -41,7 +42,7 @@ class Ode:
     def __call__(self, t: float, x: ArrayLike) -> Floats: ...
     def input_values(self, t: float, x: ArrayLike) -> Floats: ...
     @property
-    def manifest(self) -> dict[str, Any]: ...
+    def layout(self) -> Layout: ...
     @property
     def n_q(self) -> int: ...
     @property

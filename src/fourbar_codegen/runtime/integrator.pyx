@@ -335,9 +335,9 @@ cdef class Ode:
         return times
 
     @property
-    def manifest(self):
-        """The manifest of the model."""
-        return self.evaluator.manifest
+    def layout(self):
+        """The description of the model."""
+        return self.evaluator.layout
 
     @property
     def n_breakpoints(self):
@@ -704,9 +704,9 @@ cdef _by_directions(samples, const fb_forward *forward, int n_x, directions):
 
 def _rates_of(Ode ode):
     """For each input that is a second derivative the place of the rate, otherwise -1."""
-    entries = ode.evaluator.manifest["inputs"]
-    places = {(entry["of"], entry["order"]): place for place, entry in enumerate(entries)}
-    rates = [places.get((entry["of"], 1), -1) if entry["order"] == 2 else -1 for entry in entries]
+    entries = ode.evaluator.layout.inputs
+    places = {(entry.of, entry.order): place for place, entry in enumerate(entries)}
+    rates = [places.get((entry.of, 1), -1) if entry.order == 2 else -1 for entry in entries]
     return np.array([*rates, -1], dtype=np.intc)
 
 

@@ -134,7 +134,7 @@ def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.b
 
     def bits(name: str) -> NDArray[np.bool_]:
         """The rows of a result by all variables."""
-        rows = [int(mask, 16) for mask in model.manifest["dependencies"][name]]
+        rows = model.layout.dependencies.rows[name]
         return np.array([[mask >> place & 1 for place in range(sum(sizes))] for mask in rows], dtype=bool).reshape(
             -1, sum(sizes)
         )
@@ -142,7 +142,7 @@ def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.b
     residual, positions, velocities = bits("residual"), bits("position_violation"), bits("velocity_violation")
     closed = residual[n_u : n_u + n_c]
     if formulation == "index-3":
-        kept = [row in model.manifest["position_rows"] for row in range(n_c)]
+        kept = [row in model.layout.constraints.position_rows for row in range(n_c)]
         closed = np.where(np.array(kept, dtype=bool)[:, np.newaxis], positions[:n_c], velocities)
     rows = np.vstack(
         (bits("coordinate_rates"), residual[:n_u], residual[n_u + n_l :], closed, residual[n_u + n_c : n_u + n_l])
@@ -180,7 +180,7 @@ def _arguments(
     inputs = None
     if r is not None:
         inputs = named_columns(_with_defaults(model, times, parameters, r, n), model.inputs, {}, "input", n)
-    elif any(entry["expression"] is None for entry in model.manifest["inputs"]):
+    elif any(entry.expression is None for entry in model.layout.inputs):
         raise ModelError(model.missing())
     return times, states, parameters, inputs
 
@@ -199,8 +199,8 @@ def _with_defaults(model: Kernel, times: Floats, parameters: Floats, r: Values, 
     if not is_mapping(r):
         return r
     given = model.rates_at_rest(r) | named(r, model.inputs, "input")
-    entries = enumerate(model.manifest["inputs"])
-    expressions = [i for i, entry in entries if entry["name"] not in given and entry["expression"] is not None]
+    entries = enumerate(model.layout.inputs)
+    expressions = [i for i, entry in entries if entry.name not in given and entry.expression is not None]
     if not expressions:
         return given
     if times.ndim or parameters.ndim == 2:

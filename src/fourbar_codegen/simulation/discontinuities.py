@@ -103,11 +103,11 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
     """
     if not (ode.n_breakpoints or ode.has_tables):
         return []
-    n_moves = ode.manifest["n_jumps"]
+    n_moves = ode.layout.breakpoints.n_of_motions
     known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
-    for entry, source in zip(ode.manifest["inputs"], ode.sources, strict=True):
+    for entry, source in zip(ode.layout.inputs, ode.sources, strict=True):
         if isinstance(source, Table):
-            moves = source.jumps(varied) if entry["order"] == 1 else np.zeros(len(source.times), dtype=bool)
+            moves = source.jumps(varied) if entry.order == 1 else np.zeros(len(source.times), dtype=bool)
             bends = source.bends(varied)
             for t, jumps in zip(source.times[bends].tolist(), moves[bends].tolist(), strict=True):
                 known[t] = known.get(t, False) or jumps
@@ -226,7 +226,7 @@ def jumping_inputs(ode: Ode, at: Boundary, x: Floats) -> tuple[int, ...]:
     """The inputs that make speeds jump; none if an expression of time in the model does so too."""
     if _jump_by_the_model(ode, at, x):
         return ()
-    moving = np.array(ode.manifest["moving_inputs"], dtype=int)
+    moving = np.array(ode.layout.prescribed_places, dtype=int)
 
     def inputs(t: float) -> Floats:
         found: Floats = ode.input_values(t, x)[moving]
@@ -326,9 +326,9 @@ class _Prescribed:
 
     def jumping_positions(self, before: float, after: float) -> list[str]:
         """Names of the motions, constraints and points that jump."""
-        q, entries = self.x[: self.ode.n_q], self.ode.manifest["inputs"]
-        moving = {entry["of"] for entry in entries if entry["order"]}
-        places = [place for place, entry in enumerate(entries) if entry["name"] in moving]
+        q, entries = self.x[: self.ode.n_q], self.ode.layout.inputs
+        moving = {entry.of for entry in entries if entry.order}
+        places = [place for place, entry in enumerate(entries) if entry.name in moving]
 
         tables = [place for place, source in enumerate(self.ode.sources) if isinstance(source, Table)]
         held = self.inputs(before)[tables]
@@ -349,7 +349,7 @@ class _Prescribed:
             return self.model.drawing(t, self.x, self.p, inputs(t))[0].ravel()
 
         jumped = _jumped(motions, np.abs(motions(before)) + np.abs(motions(after)), before, after)
-        names = [f"Input {entries[places[i]]['name']}" for i in np.flatnonzero(jumped)]
+        names = [f"Input {entries[places[i]].name}" for i in np.flatnonzero(jumped)]
         measure = self.model.constraint_scale(after, self.x, self.p, self.inputs(after))[0]
         if _jumped(constraints, measure, before, after).any():
             names.append("A constraint")

@@ -141,9 +141,9 @@ def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
     """For each input None, a Table, a callable, or an array with a value for each member."""
     varied = {name_of(key): value for key, value in inputs.items() if is_by_member(value)}
     sources = input_sources(model, inputs_of(inputs, 0) if n else {})
-    for place, entry in enumerate(model.manifest["inputs"]):
-        if entry["of"] in varied and not entry["order"]:
-            sources[place] = varied[entry["of"]]
+    for place, entry in enumerate(model.layout.inputs):
+        if entry.of in varied and not entry.order:
+            sources[place] = varied[entry.of]
     return sources
 
 
@@ -242,7 +242,7 @@ def _breaks(runs: _Runs) -> Floats | None:
     None if the times differ between members, or if velocities may jump.
     """
     begin, end = runs.options.t_span
-    by_parameters = runs.model.manifest["n_breakpoints"] > 0
+    by_parameters = runs.model.layout.breakpoints.n > 0
     alike = np.unique(runs.parameters, axis=0) if by_parameters else runs.parameters[:1]
     found: list[Any] = []
     for p in alike:

@@ -212,7 +212,7 @@ def integrate(
     input_times = pieces.input_times(t) if pieces else t
     if options.t_eval is not None:
         t = options.t_eval[: t.size]
-    if options.project and model.manifest["states_velocity_constraints"] and status >= 0:
+    if options.project and model.layout.constraints.are_stated and status >= 0:
         sentence = left(model, ode, input_times, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
     if not singular:  # near singular positions speeds grow for that reason
@@ -263,7 +263,7 @@ def integrate(
 
 def _other_values(model: Kernel, options: RunOptions, directions: Directions | None) -> dict[str, Ode]:
     """For each parameter of derivatives of a model with jumps, the right-hand side with another value of it."""
-    if not model.manifest["n_jumps"]:
+    if not model.layout.breakpoints.n_of_motions:
         return {}
     p = parameter_array(model, options.parameters)
     names = model.parameters if options.gradient else directions.names if directions else ()

@@ -24,6 +24,7 @@ from fourbar_codegen.kernel.sensitivity import (
     require_derivatives,
     require_fixed_breakpoints,
 )
+from fourbar_codegen.layout import Jump
 from fourbar_codegen.progress import PATIENCE, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
@@ -73,12 +74,12 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
-    jumps = _jumps(model, options) if model.manifest["jumps"] else []
+    jumps = _jumps(model, options) if model.layout.breakpoints.jumps else []
     for sentence, is_known in (
         ("jump at times that are not known beforehand ({})", True),
         ("may jump ({}): where they might, they have no real value at any of the random states that were tried", False),
     ):
-        functions = "; ".join(entry["function"] for entry in jumps if entry["known"] is is_known)
+        functions = "; ".join(entry.function for entry in jumps if entry.known is is_known)
         if functions:
             warnings.warn(
                 f"The equations of {model.name} {sentence.format(functions)}. If the run passes a jump, its "
@@ -94,15 +95,15 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
 
 
-def _jumps(model: Kernel, options: RunOptions) -> list[dict[str, Any]]:
+def _jumps(model: Kernel, options: RunOptions) -> list[Jump]:
     """The jumps that count with these parameters and inputs."""
     given = {name_of(key) for key in options.inputs or ()}
     p, defaults = options.parameters, parameter_array(model, None)
     has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
     return [
         entry
-        for entry in model.manifest["jumps"]
-        if entry["input"] not in given and (entry["by_default"] or has_others)
+        for entry in model.layout.breakpoints.jumps
+        if entry.input not in given and (entry.by_default or has_others)
     ]
 
 

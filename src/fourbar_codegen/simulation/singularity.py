@@ -61,7 +61,7 @@ class Singular:
 
     def __init__(self, model: Kernel) -> None:
         self.model = model
-        self.rank = model.manifest["n_dependent_speeds"]
+        self.rank = model.layout.n_dependent_speeds
         self.known = 0.0
         """Duration of the run for which scales and median are known."""
 

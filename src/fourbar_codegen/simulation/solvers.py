@@ -325,7 +325,7 @@ class IDA(_Sundials):
         **options: Any,
     ) -> None:
         super().__init__(fun, t0, y0, t_bound, **options)
-        ode, manifest = self.ode, self.ode.manifest
+        ode, layout = self.ode, self.ode.layout
         one_of(formulation, FORMULATIONS, "formulation")
         if formulation == "index-3" and ode.evaluator.states_need_solution:
             raise ModelError(
@@ -335,8 +335,8 @@ class IDA(_Sundials):
         if formulation != "index-1":
             self.y = consistent(ode, t0, self.y)
         rates, multipliers = ode.multipliers(t0, self.y)
-        without_row = manifest["position_rows"].count(None) - len(manifest["invariants"])
-        if without_row or manifest["n_dependent_speeds"] < ode.evaluator.n_c:
+        without_row = layout.constraints.position_rows.count(None) - len(layout.constraints.invariants)
+        if without_row or layout.n_dependent_speeds < ode.evaluator.n_c:
             raise ModelError(
                 "IDA solves for all multipliers, which redundant constraints do not determine: use another method."
             )

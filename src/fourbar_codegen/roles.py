@@ -1,0 +1,162 @@
+"""Enumerations that C and Python share: what the functions of a kernel compute, what they need, what they return.
+
+``python -m fourbar_codegen.roles`` writes them to ``fourbar_enums.h``.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from pathlib import Path
+from typing import Self
+
+__all__ = ["DIRECTIONS", "VECTOR", "Needs", "Role", "Status", "enums_text"]
+
+DIRECTIONS = 8
+"""The most directions that JVPs take at once: the columns of their arguments and results."""
+
+VECTOR = -1
+"""Instead of the number of columns of a vector."""
+
+
+class _Enum(IntEnum):
+    """An enumeration of the C interface, whose members have a comment."""
+
+    comment: str
+
+    def __new__(cls, value: int, comment: str) -> Self:
+        member = int.__new__(cls, value)
+        member._value_, member.comment = value, comment
+        return member
+
+
+class Status(_Enum):
+    """What functions of a kernel return, and, from 20 on, those of a C library; the comment is its message."""
+
+    OK = 0, "success"
+    CONSTRAINTS_DEPENDENT = 1, "the constraints' Jacobian has lost rank, or the constraints contradict each other"
+    MASS_SINGULAR = 2, "the mass matrix of the independent speeds is not positive definite"
+    NOT_FINITE = 3, "a parameter, an input or a result is infinite or not a number"
+    NOT_CLOSED = 4, "no state nearby satisfies the constraints"
+    CONSTRAINTS_INDEPENDENT = 5, "there are more independent constraints than dependent speeds"
+    FORCES_UNDETERMINED = 6, "no unknown forces keep the auxiliary speeds zero, or many do"
+    FORCES_NOT_FOUND = 7, "Newton's method does not find the unknown forces"
+    INVALID_ARGUMENT = 20, "an argument is outside of its range"
+    STEP_TOO_SMALL = 21, "the required step size is less than the spacing between numbers"
+    TOO_MANY_STEPS = 22, "the largest number of steps is reached"
+    SINGULAR_POSITION = 23, "the mechanism reaches a singular position, where it may go on in more than one way"
+    SPEEDS_JUMP = (
+        24,
+        "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
+    )
+
+
+class Needs(_Enum):
+    """What a function of a kernel takes, besides time and parameters."""
+
+    COORDINATES = 1, "q, the first entries of x."
+    STATE = 2, "All of x."
+    INPUTS = 4, "All inputs, not only those that prescribe motions."
+    ACCELERATIONS = 8, "u'."
+    MULTIPLIERS = 16, "lambda, and unknown forces that drive the motion behind it."
+
+
+_HELD = Needs.STATE | Needs.INPUTS | Needs.ACCELERATIONS | Needs.MULTIPLIERS
+
+
+class Role(_Enum):
+    """What a function of a kernel computes: its place in the table of functions."""
+
+    needs: int
+    """Of `Needs`, in any combination."""
+
+    def __new__(cls, needs: int, comment: str) -> Self:
+        """A member with the next number."""
+        member = int.__new__(cls, len(cls.__members__))
+        member._value_, member.needs, member.comment = len(cls.__members__), needs, comment
+        return member
+
+    BREAKPOINTS = 0, "Times at which expressions have a jump or a kink."
+    DEFAULT_INPUTS = 0, "The inputs' expressions; NaN for inputs without one."
+    DYNAMICS = Needs.STATE | Needs.INPUTS, "q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0."
+    POSITION = Needs.COORDINATES, "Holonomic constraints Phi(q, t) and dPhi/dq."
+    VELOCITY = Needs.STATE, "J and b of the velocity constraints J u + b = 0."
+    CONSTRAINT_VIOLATION = Needs.STATE, "w of J v = -w, which corrects Phi, then the invariants; J u + b."
+    CONSTRAINT_SCALE = (
+        Needs.STATE,
+        "Rounding errors, over the precision of double, of Phi and of both results of constraint_violation.",
+    )
+    INVARIANT_CORRECTION = Needs.COORDINATES, "The change of q that corrects the invariants."
+    COORDINATE_CHANGE = (
+        Needs.STATE | Needs.INPUTS,
+        "K v, the change of q for a change v of the speeds' integrals, for q' = K u + k.",
+    )
+    ENERGY = Needs.STATE, "Kinetic and potential energy."
+    OUTPUT = _HELD, "The outputs."
+    STATE_RATES = _HELD, "z'."
+    UNKNOWN_FORCES = (
+        Needs.STATE | Needs.INPUTS,
+        "F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0.",
+    )
+    # In the part `derivatives`.
+    DRAWING = Needs.STATE, "Positions of drawn points, and the inputs' forces on them."
+    MOTION = Needs.STATE | Needs.ACCELERATIONS, "q''; velocities and accelerations of drawn points."
+    STATE_PARTIALS = _HELD, "d/dx of q' and of the residual, with u' and lambda held."
+    PARAMETER_PARTIALS = _HELD, "d/dp of q' and of the residual, with u' and lambda held."
+    INPUT_PARTIALS = _HELD, "d/dr of q' and of the residual, with u' and lambda held."
+    DEFAULT_INPUT_PARTIALS = 0, "d/dp of the inputs' expressions; zero without one."
+    CONSTRAINT_PARTIALS = Needs.STATE, "d(J u + b)/dq, dPhi/dr and d(J u + b)/dr."
+    STATE_RATE_PARTIALS = _HELD, "dz'/du' and dz'/dlambda."
+    OUTPUT_STATE_PARTIALS = _HELD, "d/dx of the outputs, with u' and lambda held."
+    OUTPUT_PARAMETER_PARTIALS = _HELD, "d/dp of the outputs, with u' and lambda held."
+    OUTPUT_INPUT_PARTIALS = _HELD, "d/dr of the outputs, with u' and lambda held."
+    OUTPUT_SOLUTION_PARTIALS = _HELD, "d/du' and d/dlambda of the outputs."
+    # In the part `variations`.
+    RESIDUAL_JVP = _HELD, "The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held."
+    CONSTRAINT_JVP = Needs.STATE, "The JVP of constraint_violation along directions of (x, p, r)."
+    RESIDUAL_VJP = _HELD, "The gradient with respect to (x, p, r) of weights times q' and the residual."
+    CONSTRAINT_VJP = Needs.STATE, "The gradient with respect to (x, p, r) of weights times constraint_violation."
+
+    @property
+    def part(self) -> str:
+        """Where the function is: in the ``kernel``, or in a part that may be compiled later."""
+        if self < Role.DRAWING:
+            return "kernel"
+        return "derivatives" if self < Role.RESIDUAL_JVP else "variations"
+
+
+def enums_text() -> str:
+    """The C header with the enumerations."""
+    constants = (
+        ("FB_DIRECTIONS", DIRECTIONS, "The most columns of directions of JVPs."),
+        ("FB_VECTOR", VECTOR, "The columns of a vector."),
+    )
+    texts = [f"enum {{ {name} = {value} }}; /* {comment} */" for name, value, comment in constants]
+    for kind, name, prefix in ((Status, "FB_STATUS", "FB"), (Role, "FB_ROLE", "FB"), (Needs, "FB_NEEDS", "FB_NEEDS")):
+        rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
+        rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []
+        texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
+    cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)
+    texts.append(f"""\
+static inline const char *fb_message(const int status)
+{{
+    switch (status) {{
+{cases}
+    default: return "unknown status";
+    }}
+}}""")
+    body = "\n\n".join(texts)
+    return f"""\
+/* Enumerations that C and Python share, written by `python -m fourbar_codegen.roles`. */
+#ifndef FOURBAR_ENUMS_H
+#define FOURBAR_ENUMS_H
+
+/* clang-format off */
+{body}
+/* clang-format on */
+
+#endif
+"""
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("runtime").joinpath("fourbar_enums.h").write_text(enums_text(), encoding="utf-8")

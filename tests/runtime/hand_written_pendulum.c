@@ -235,7 +235,8 @@ static const fb_function own_functions[FB_N_ROLES] = {
     [FB_DEFAULT_INPUTS] = ROW(default_inputs, 0, VECTOR(default_inputs, N_R)),
     [FB_DYNAMICS] = ROW(dynamics, ALL, VECTOR(coordinate_rates, N_Q), MATRIX(mass_matrix, N_U, N_U),
                         VECTOR(forcing, N_U), MATRIX(constraint_jacobian, N_C, N_U), VECTOR(acceleration_bias, N_C)),
-    [FB_POSITION] = ROW(position, FB_NEEDS_COORDINATES, VECTOR(position_constraints, N_H), MATRIX(position_jacobian, N_H, N_Q)),
+    [FB_POSITION] =
+        ROW(position, FB_NEEDS_COORDINATES, VECTOR(position_constraints, N_H), MATRIX(position_jacobian, N_H, N_Q)),
     [FB_VELOCITY] = ROW(velocity, STATE, MATRIX(constraint_jacobian, N_C, N_U), VECTOR(velocity_bias, N_C)),
     [FB_CONSTRAINT_VIOLATION] =
         ROW(constraint_violation, STATE, VECTOR(position_violation, N_C), VECTOR(velocity_violation, N_C)),

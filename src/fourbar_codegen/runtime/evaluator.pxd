@@ -123,7 +123,7 @@ cdef extern from "fourbar_problem.h":
         double *moved_x
     int fb_fill_inputs(fb_problem *, double, const double *) noexcept nogil
     void fb_problem_results(const fb_problem *, int, double, const double *, const double *, const double *,
-                     const double *const *, double *const *) noexcept nogil
+                            const double *const *, double *const *) noexcept nogil
     int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
     int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil
     int fb_problem_project(fb_problem *, double, double *, int) noexcept nogil

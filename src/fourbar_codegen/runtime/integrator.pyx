@@ -8,8 +8,8 @@ from libc.math cimport INFINITY, NAN, fabs, fmax
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
-    FB_BREAKPOINTS, FB_CONSTRAINT_JVP, FB_ENERGY, FB_LAST, FB_LAST_ANY, FB_OK, FB_STATE_PARTIALS, Evaluator, data, fb_all_time, fb_clock,
-    fb_problem_results, fb_fill_inputs, fb_finite,
+    FB_BREAKPOINTS, FB_CONSTRAINT_JVP, FB_ENERGY, FB_LAST, FB_LAST_ANY, FB_OK, FB_STATE_PARTIALS, Evaluator, data,
+    fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_problem_results,
     fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
     new_array, number, numbers, rows, time_of, vector)
 

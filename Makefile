@@ -87,7 +87,6 @@ ecosystem:
 
 generate:
 	@$(INSTALL) test visual
-	$(BIN)/python -m fourbar_codegen.roles
 	$(BIN)/fourbar generate four_bar -o generated
 
 clean:

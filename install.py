@@ -21,7 +21,10 @@ import tomllib
 SILENCE = 4.0
 """Seconds until a step that goes on says so."""
 
-SOURCES = ("pyproject.toml", "setup.py", *(f"src/fourbar_codegen/runtime/*.{kind}" for kind in ("pyx", "pxd", "h")))
+SOURCES = (
+    *("pyproject.toml", "setup.py", "src/fourbar_codegen/roles.py"),
+    *(f"src/fourbar_codegen/runtime/*.{kind}" for kind in ("pyx", "pxd", "h")),
+)
 """What the extension modules are made of, beside the generated models; Python files are used where they stand."""
 
 

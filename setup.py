@@ -1,10 +1,11 @@
 """Extension modules; all metadata is in pyproject.toml.
 
-The runtime, and every model whose generated sources are in generated/. It generates nothing itself.
+The runtime, and every model whose generated sources are in generated/. It generates no models itself.
 """
 
 import os
 import platform
+import runpy
 import sys
 from pathlib import Path
 from threading import Lock
@@ -98,6 +99,11 @@ class BuildExtension(build_ext):
             depends=[*ext.depends, *ext.sources],
         )
 
+
+# A header that changes only with its text, so that nothing is compiled anew without need.
+enums, text = Path(RUNTIME, "fourbar_enums.h"), runpy.run_path("src/fourbar_codegen/roles.py")["enums_text"]()
+if not enums.exists() or enums.read_text(encoding="utf-8") != text:
+    enums.write_text(text, encoding="utf-8")
 
 runtime = [extension(f"runtime.{wrapper.stem}", [wrapper], RUNTIME) for wrapper in sorted(Path(RUNTIME).glob("*.pyx"))]
 models = [

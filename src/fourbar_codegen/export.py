@@ -11,13 +11,14 @@ from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from fourbar_codegen.arguments import listed
+from fourbar_codegen.arguments import listed, one_of
 from fourbar_codegen.building.toolchain import compile_shared, get_include
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
 from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.roles import VECTORS
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -87,7 +88,9 @@ def export_c(model: Model, folder: str | Path) -> Path:
     return folder
 
 
-def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Sequence[str] = ()) -> Path:
+def export_fmu(
+    model: Model, path: str | Path, *, fmi: int = 3, platforms: Sequence[str] = (), quantities: Sequence[str] = ()
+) -> Path:
     """Write a model as a Functional Mock-up Unit of FMI 3.0 or 2.0, for model exchange and co-simulation.
 
     It contains a binary for machines of this kind, and its sources. Co-simulation steps inside by DOP853, projected
@@ -105,6 +108,9 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     platforms : sequence of str, optional
         Further kinds of machines that it has binaries for, such as ``x86_64-windows`` or ``aarch64-linux``: see
         `PLATFORMS`. They are compiled by zig, from the extra ``compiler``.
+    quantities : sequence of str, optional
+        Vectors that are outputs as well, by components such as ``momentum_x``: "momentum", "angular_momentum" and
+        "spin", see `CompiledModel.momentum`.
 
     Returns
     -------
@@ -115,7 +121,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
     ------
     ModelError
         As for `export_c`, but names of states, parameters, inputs and outputs may have all characters that XML can
-        have; if two variables have the same name; or if there is no such version or platform.
+        have; if two variables have the same name; or if there is no such version, platform or quantity.
     BuildError
         If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
         written.
@@ -140,6 +146,10 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
         raise ModelError(f"The version of FMI is 2 or 3, not {shown(fmi)}.")
     several = [_platform(), *listed(platforms, f"platforms= is a sequence of {', '.join(PLATFORMS)}")]
     folders = {name: _folder(name, fmi) for name in several}
+    names = [quantity.name for quantity in VECTORS]
+    wanted = listed(quantities, f"quantities= is a sequence of {', '.join(names)}")
+    for each in wanted:
+        one_of(each, names, "quantity")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout
@@ -153,7 +163,7 @@ def export_fmu(model: Model, path: str | Path, *, fmi: int = 3, platforms: Seque
         )
 
         name, files = layout.name, _library_files(generated, progress, FMU_HEADERS)
-        variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs])
+        variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
         sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
         sources[f"{name}_fmu.c"] = fmu_source(fmi, layout)
         progress.stage("compiling")

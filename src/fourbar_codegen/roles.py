@@ -1,15 +1,15 @@
 """Enumerations that C and Python share: what the functions of a kernel compute, what they need, what they return.
 
-``python -m fourbar_codegen.roles`` writes them to ``fourbar_enums.h``.
+``setup.py`` writes them to ``fourbar_enums.h`` when the package is built.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from enum import IntEnum
-from pathlib import Path
 from typing import Self
 
-__all__ = ["DIRECTIONS", "VECTOR", "Needs", "Role", "Status", "enums_text"]
+__all__ = ["DIRECTIONS", "QUANTITIES", "VECTOR", "VECTORS", "Needs", "Quantity", "Role", "Status", "enums_text"]
 
 DIRECTIONS = 8
 """The most directions that JVPs take at once: the columns of their arguments and results."""
@@ -124,6 +124,30 @@ class Role(_Enum):
         return "derivatives" if self < Role.RESIDUAL_JVP else "variations"
 
 
+@dataclass(frozen=True)
+class Quantity:
+    """A vector that is known at each state, in the inertial frame: a result of a function of the table.
+
+    Attributes
+    ----------
+    name : str
+        Its components in tables have this name with ``_x``, ``_y`` and ``_z``.
+    unit : str
+    description : str
+    """
+
+    name: str
+    unit: str
+    description: str
+
+
+QUANTITIES: dict[Role, tuple[Quantity, ...]] = {}
+"""The results of functions of a state that runs, tables and exported libraries have beside energies."""
+
+VECTORS = tuple(quantity for of_role in QUANTITIES.values() for quantity in of_role)
+"""All of them, in order."""
+
+
 def enums_text() -> str:
     """The C header with the enumerations."""
     constants = (
@@ -146,7 +170,7 @@ static inline const char *fb_message(const int status)
 }}""")
     body = "\n\n".join(texts)
     return f"""\
-/* Enumerations that C and Python share, written by `python -m fourbar_codegen.roles`. */
+/* Enumerations that C and Python share, which setup.py writes by roles.py. */
 #ifndef FOURBAR_ENUMS_H
 #define FOURBAR_ENUMS_H
 
@@ -156,7 +180,3 @@ static inline const char *fb_message(const int status)
 
 #endif
 """
-
-
-if __name__ == "__main__":
-    Path(__file__).with_name("runtime").joinpath("fourbar_enums.h").write_text(enums_text(), encoding="utf-8")

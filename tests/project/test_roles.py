@@ -7,5 +7,5 @@ from fourbar_codegen.roles import enums_text
 
 
 def test_header_of_enumerations_is_that_of_roles():
-    """``make generate`` writes it."""
+    """The package was built after the last change of roles.py."""
     assert Path(fb.get_include(), "fourbar_enums.h").read_text(encoding="utf-8") == enums_text()

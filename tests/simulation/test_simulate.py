@@ -455,3 +455,17 @@ def test_run_that_ends_before_its_first_sample_has_empty_results(four_bar):
     assert run.y.shape == (6, 0)
     assert run.energy.shape == (0,)
     assert run["q1"].shape == (0,)
+
+
+def test_velocities_and_accelerations_of_points_in_a_run_are_those_of_a_turning_crank():
+    """The pin at radius r moves with r w, and is accelerated by r w' along and r w^2 inwards."""
+    slider_crank = fb.compile_model(fb.models.slider_crank())
+    run = slider_crank.simulate((0.0, 1.0), t_eval=np.linspace(0.0, 1.0, 11))
+    radius, angle, rate = slider_crank.defaults["r"], run["crank"], run["crank_rate"]
+    turn = np.array([slider_crank.rhs(t, x)[3] for t, x in zip(run.t, run.y.T, strict=True)])
+    along, outwards = np.array([-np.sin(angle), np.cos(angle)]), np.array([np.cos(angle), np.sin(angle)])
+    np.testing.assert_allclose(run.velocities["P"][:2], radius * rate * along, rtol=1e-13, atol=1e-13)
+    expected = radius * (turn * along - rate**2 * outwards)
+    # Twice evaluated accelerations differ by rounding errors, times the condition of the equations.
+    np.testing.assert_allclose(run.accelerations["P"][:2], expected, rtol=1e-11, atol=1e-11)
+    assert list(run.velocities) == list(run.accelerations) == list(slider_crank.points)

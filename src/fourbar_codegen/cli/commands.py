@@ -468,13 +468,16 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
     multiple=True,
     help="Another kind of machine that an FMU has a binary for, such as x86_64-windows; by zig. Repeatable.",
 )
-def export(model: str, form: str, output: Path, fmi: str | None, platform: tuple[str, ...]) -> None:
+@click.option("--quantity", multiple=True, help="A vector that an FMU has as outputs, such as momentum. Repeatable.")
+def export(
+    model: str, form: str, output: Path, fmi: str | None, platform: tuple[str, ...], quantity: tuple[str, ...]
+) -> None:
     if form == "fmu":
-        path = fb.export_fmu(source_model(model), output, fmi=int(fmi or 3), platforms=platform)
+        path = fb.export_fmu(source_model(model), output, fmi=int(fmi or 3), platforms=platform, quantities=quantity)
         click.echo(f"Written: {path}")
         return
-    if fmi or platform:
-        raise click.UsageError(f"{'--fmi' if fmi else '--platform'} belongs to --to fmu.")
+    if fmi or platform or quantity:
+        raise click.UsageError(f"{'--fmi' if fmi else '--platform' if platform else '--quantity'} belongs to --to fmu.")
     folder = fb.export_c(source_model(model), output)
     click.echo(f"Written: {folder / 'README.md'} says how to build it")
 

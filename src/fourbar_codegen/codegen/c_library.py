@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -12,7 +13,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
-from fourbar_codegen.roles import Role, Status
+from fourbar_codegen.roles import QUANTITIES, Role, Status
 
 __all__ = ["FOLDER", "HEADERS", "library_texts"]
 
@@ -149,7 +150,7 @@ def library_texts(
             FOLDER,
             f"#define FB_LIBRARY\n{header}",
             f"{definitions_text(layout)}\n#define FB_MODEL {name}\n{_internal(name)}"
-            f'#include "{FOLDER}fourbar_library.h"\n',
+            f'#include "{FOLDER}fourbar_library.h"\n{_quantities(name)}',
         ),
         f"{name}_derivatives.c": derivatives_text(name, derivatives, names, FOLDER, header, _derivatives(name)),
         f"{FOLDER}{name}_kernel.h": header_text(scalar, names),
@@ -325,6 +326,7 @@ int {name}_solution(struct {name} *model, double *accelerations, double *multipl
 /* Kinetic and potential energy; not a number if unknown.{_left_out(layout)} */
 void {name}_energies(struct {name} *model, double *kinetic, double *potential);
 
+{_declared_quantities(name)}
 /* The largest violation of a constraint, of position or velocity. */
 double {name}_violation(struct {name} *model);
 
@@ -370,6 +372,38 @@ void {name}_points(struct {name} *model, double *points);
 def _plain(text: str) -> str:
     """Text that is safe in a comment of C99."""
     return re.sub(r"[^ -~]", "?", text).replace("*/", "* /").replace("/*", "/ *")
+
+
+def _head_of(name: str, role: Role) -> str:
+    results = ", ".join(f"double *{quantity.name}" for quantity in QUANTITIES[role])
+    return f"void {name}_{role.name.lower()}(struct {name} *model, {results})"
+
+
+def _declared_quantities(name: str) -> str:
+    """Declarations of functions for vectors in a state."""
+    text = ""
+    for role, quantities in QUANTITIES.items():
+        words = "; ".join(f"{quantity.description}, {quantity.unit}" for quantity in quantities)
+        comment = textwrap.wrap(f"{words}. Three values each, along the axes of the inertial frame.", 100)
+        text += f"/* {(chr(10) + ' * ').join([comment[0][0].upper() + comment[0][1:], *comment[1:]])} */\n"
+        text += f"{_head_of(name, role)};\n"
+    return text
+
+
+def _quantities(name: str) -> str:
+    """Functions for vectors in a state."""
+    text = ""
+    for role, quantities in QUANTITIES.items():
+        results = ", ".join(quantity.name for quantity in quantities)
+        text += f"""
+{_head_of(name, role)}
+{{
+    double t;
+    fb_problem *const problem = problem_now(model, &t);
+    {role.name.lower()}(t, model->x, problem->constants, problem->inputs, {results});
+}}
+"""
+    return text
 
 
 def _left_out(layout: Layout) -> str:

@@ -5,6 +5,7 @@ Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
 from collections.abc import Sequence
@@ -15,6 +16,7 @@ from xml.etree import ElementTree as ET
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
+from fourbar_codegen.roles import QUANTITIES, VECTORS
 
 __all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
 
@@ -61,7 +63,7 @@ def token_of(layout: Layout) -> str:
     return f"{{{layout.fingerprint[:32]}}}"
 
 
-def variables_of(layout: Layout, defaults: Sequence[float]) -> list[Variable]:
+def variables_of(layout: Layout, defaults: Sequence[float], quantities: Sequence[str] = ()) -> list[Variable]:
     """The variables in the order of fourbar_fmu.h.
 
     Parameters
@@ -69,6 +71,8 @@ def variables_of(layout: Layout, defaults: Sequence[float]) -> list[Variable]:
     layout : Layout
     defaults : sequence of float
         Values of the inputs at t = 0, NaN without one.
+    quantities : sequence of str, optional
+        Names of those of `VECTORS` whose components are outputs.
 
     Raises
     ------
@@ -110,7 +114,14 @@ def variables_of(layout: Layout, defaults: Sequence[float]) -> list[Variable]:
         name = point.name or f"point {number}"
         for axis in "xyz":
             add(f"{name}.{axis}", f"position of {name}", "", "output", needs_inputs=False)
-    found = [variable for variable in found if variable.reference != unknown]
+    left_out = {unknown}
+    for quantity in VECTORS:
+        if quantity.name not in quantities:
+            left_out.update(range(len(found), len(found) + 3))
+        for axis in "xyz":
+            words = f"{quantity.description}, along the axis {axis}"
+            add(f"{quantity.name}_{axis}", words, quantity.unit, "output", needs_inputs=False)
+    found = [variable for variable in found if variable.reference not in left_out]
     counts = Counter(variable.name for variable in found)
     for variable in found:
         _check(variable)
@@ -281,6 +292,21 @@ def _xml(root: ET.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
+def _vectors(name: str) -> str:
+    """The function for the vectors of a state, in the order of their variables."""
+    numbers = itertools.count(step=3)
+    calls = [
+        f"    {name}_{role.name.lower()}(model, {', '.join(f'values + {next(numbers)}' for _ in quantities)});"
+        for role, quantities in QUANTITIES.items()
+    ]
+    return f"""\
+#define FMU_N_VECTORS {len(VECTORS)}
+static void fmu_vectors(struct {name} *model, double *values)
+{{
+{chr(10).join(calls)}
+}}"""
+
+
 def fmu_source(fmi: int, layout: Layout) -> str:
     """The source of an FMU besides those of its library."""
     name = layout.name
@@ -297,6 +323,8 @@ def fmu_source(fmi: int, layout: Layout) -> str:
 
 static const char fmu_token[] = "{token_of(layout)}";
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
+
+{_vectors(name)}
 
 #define FB_MODEL {name}
 {outputs}#include "{FOLDER}fourbar_fmi{fmi}.h"

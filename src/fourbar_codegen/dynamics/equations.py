@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 from fourbar_codegen.dynamics.picture import Picture
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.layout import Formulas
+from fourbar_codegen.roles import Role
 
 __all__ = [
     "Drawing",
@@ -258,6 +260,8 @@ class Equations:
     outputs : Result
         The outputs, (n_o,), for given u' and multipliers.
     energy : Energy
+    quantities : dict of Role to tuple of Result
+        Other functions of a state, in the order of `QUANTITIES`.
     drawing : Drawing
     warnings : tuple of str
         A sentence for each inconsistency of the kinematics.
@@ -272,6 +276,7 @@ class Equations:
     velocities: VelocityConstraints
     outputs: Result
     energy: Energy
+    quantities: Mapping[Role, tuple[Result, ...]]
     drawing: Drawing
     warnings: tuple[str, ...]
 
@@ -279,7 +284,8 @@ class Equations:
     def results(self) -> tuple[Result, ...]:
         """All results."""
         forces, constraints = self.driving_forces, (self.positions, self.velocities)
-        return (*results_of(self, self.inputs, self.dynamics, forces, *constraints, self.energy, self.drawing),)
+        parts = (self, self.inputs, self.dynamics, forces, *constraints, self.energy, self.drawing)
+        return *results_of(*parts), *chain.from_iterable(self.quantities.values())
 
 
 def results_of(*parts: object) -> Iterator[Result]:

@@ -127,6 +127,7 @@ def form_equations(model: Model) -> Equations:
         velocities=velocities,
         outputs=outputs,
         energy=energy,
+        quantities={},
         drawing=drawing,
         warnings=warnings,
     )

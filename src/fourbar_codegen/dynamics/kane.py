@@ -6,7 +6,7 @@ Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from fourbar_codegen.dynamics.articulated_bodies import ArticulatedBodies
@@ -399,6 +399,11 @@ class Kane:
             if inertia is not None:
                 terms.append(dot(inertia.momentum, inertia.angular_velocity))
         return self.tape.sum(terms) / 2
+
+    def bodies(self) -> Iterator[tuple[Body, Scalar, Vector]]:
+        """The bodies with their masses and central angular momenta."""
+        for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
+            yield body, mass, () if inertia is None else ((inertia.frame, inertia.momentum),)
 
     def _inertia(self, body: Body) -> _Inertia | None:
         if body.inertia is None:

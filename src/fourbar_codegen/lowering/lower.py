@@ -159,6 +159,8 @@ def _draft_functions(drafts: _Drafts, structure: Structure | None, recursion: Re
     add(Role.STATE_RATES, e.dynamics.state_rates)
     unknown = e.variables.multipliers[len(e.velocities.bias.entries) :]
     add(Role.UNKNOWN_FORCES, *results_of(e.driving_forces), further=_array("forces", unknown))
+    for role, results in e.quantities.items():
+        add(role, *results)
     return factors
 
 

@@ -25,6 +25,7 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.roles import VECTORS
 
 if TYPE_CHECKING:
     import pandas
@@ -136,6 +137,11 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         "multiplier": (("row", "time"), trajectory.multipliers, {}),
         "kinetic_energy": ("time", trajectory.kinetic_energy, {"units": "J"}),
         "potential_energy": ("time", trajectory.potential_energy, {"units": "J", **_left_out(trajectory)}),
+        **{
+            quantity.name: (("axis", "time"), trajectory[quantity.name], {"units": quantity.unit})
+            for quantity in VECTORS
+            if quantity.name not in model.points
+        },
         "position": (
             ("point", "axis", "time"),
             np.reshape(list(trajectory.points.values()), (len(model.points), 3, len(trajectory.t))),

@@ -128,7 +128,8 @@ class Trajectory:
         """A quantity over time, by its name or SymPy symbol.
 
         A state, input or output, or another quantity of `columns`: ``"t"``, ``"energy"``, ``"lambda1"``, ..., of shape
-        (n_t,); or the position of a point, m, of shape (3, n_t).
+        (n_t,); or of shape (3, n_t) the position of a point, m, and ``"momentum"``, ``"angular_momentum"`` (about the
+        fixed point) and ``"spin"`` (about the mass centre), as `CompiledModel.momentum`.
 
         Raises
         ------
@@ -145,6 +146,8 @@ class Trajectory:
             return columns[key]
         if key in model.points:
             return self.points[key]
+        if key in self._quantities:
+            return self._quantities[key]
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
 
     def _ipython_key_completions_(self) -> list[str]:
@@ -174,6 +177,10 @@ class Trajectory:
         return self._derived[1]
 
     @cached_property
+    def _quantities(self) -> dict[str, Floats]:
+        return self.model.quantities_along(self.t, self.y, self.r, self.parameters)
+
+    @cached_property
     def _drawing(self) -> list[Floats]:
         return self.model.drawing_along(self.t, self.y, self.r, self.parameters)
 
@@ -184,6 +191,26 @@ class Trajectory:
         Relative to the fixed point of the System, in its frame.
         """
         return dict(zip(self.model.points, self._drawing[0], strict=False))  # those without names come last
+
+    @cached_property
+    def _motion(self) -> list[Floats]:
+        return self.model.motion_along(self.t, self.y, self.r, self.parameters)
+
+    @property
+    def velocities(self) -> dict[str, Floats]:
+        """Velocities of the mechanism's points over time, by name, m/s, each of shape (3, n_t).
+
+        In the System's frame; NaN at singular positions, where accelerations are not determined.
+        """
+        return dict(zip(self.model.points, self._motion[0], strict=False))
+
+    @property
+    def accelerations(self) -> dict[str, Floats]:
+        """Accelerations of the mechanism's points over time, by name, m/s^2, each of shape (3, n_t).
+
+        In the System's frame; NaN at singular positions.
+        """
+        return dict(zip(self.model.points, self._motion[1], strict=False))
 
     @property
     def forces(self) -> dict[str, Floats]:
@@ -352,8 +379,9 @@ class Trajectory:
         """All scalar quantities over time by name, each of shape (n_t,).
 
         ``t`` (s), states, inputs, outputs; multipliers ``lambda1``, ``lambda2``, ... in the order of the constraints;
-        ``constraint_residual_1``, ...; ``kinetic_energy``, ``potential_energy`` and ``energy`` (J). A state, input or
-        output with one of these names takes precedence.
+        ``constraint_residual_1``, ...; ``kinetic_energy``, ``potential_energy`` and ``energy`` (J); ``momentum_x``
+        (kg m/s), ``angular_momentum_x``, ``spin_x`` (kg m^2/s), ... A state, input or output with one of these names
+        takes precedence.
         """
         model = self.model
         columns = {"t": self.t, **dict(zip(model.states, self.y, strict=True))}
@@ -364,6 +392,8 @@ class Trajectory:
         derived["kinetic_energy"] = self.kinetic_energy
         derived["potential_energy"] = self.potential_energy
         derived["energy"] = self.energy
+        for name, rows in self._quantities.items():
+            derived.update(zip((f"{name}_{axis}" for axis in "xyz"), rows, strict=True))
         return {**columns, **{name: row for name, row in derived.items() if name not in columns}}
 
     def to_dataframe(self) -> pandas.DataFrame:

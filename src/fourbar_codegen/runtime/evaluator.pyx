@@ -335,6 +335,8 @@ cdef class Evaluator:
                 self.require_derivatives()
             else:
                 self.require_variations()
+            if self.functions[role].call == NULL:
+                raise ModelError(f"The compiled model {self.layout.name} has no function of the role {role}.")
         return self.functions + role
 
     def described(self, int role):

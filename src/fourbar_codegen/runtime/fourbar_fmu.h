@@ -2,7 +2,7 @@
  *
  * Included by fourbar_fmi2.h or fourbar_fmi3.h, in a source that includes the header of the model as a C library, and
  * defines FB_MODEL, FB_OUTPUTS if there are any, fmu_token and fmu_has_rates. Value references are numbers in
- * this order: time, states, their derivatives, parameters, inputs, outputs, energies, points.
+ * this order: time, states, their derivatives, parameters, inputs, outputs, energies, points, vectors.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
  */
@@ -34,7 +34,8 @@ enum {
     OF_OUTPUTS = OF_INPUTS + N_R,
     OF_ENERGIES = OF_OUTPUTS + N_Y,
     OF_POINTS = OF_ENERGIES + 2,
-    N_VARIABLES = OF_POINTS + 3 * N_POINTS
+    OF_VECTORS = OF_POINTS + 3 * N_POINTS,
+    N_VARIABLES = OF_VECTORS + 3 * FMU_N_VECTORS
 };
 
 /* The tolerance of co-simulation unless the importer states one; and the violation of the constraints, relative to
@@ -44,7 +45,7 @@ enum {
 #define FB_VIOLATED 1e-9
 
 /* How serialized states begin; the number changes with their contents. */
-#define FMU_KIND "fourbar state 1"
+#define FMU_KIND "fourbar state 2"
 #define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 /* The interval of `between`, in fourbar_library.h. */
@@ -52,7 +53,7 @@ void FB_PUBLIC(get_interval)(const struct FB_MODEL *model, double *interval);
 void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval);
 
 /* Groups of values that follow from the state. */
-enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8 };
+enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8, FMU_VECTORS = 16 };
 
 enum fmu_mode {
     FMU_INSTANTIATED = 1,
@@ -74,6 +75,7 @@ typedef struct fmu_state {
     double tolerance, start, stop;
     int valid; /* the groups of values that are those of the present state */
     double rates[N_X], outputs[FMU_AT_LEAST_1(N_Y)], energies[2], points[FMU_AT_LEAST_1(3 * N_POINTS)];
+    double vectors[FMU_AT_LEAST_1(3 * FMU_N_VECTORS)];
 } fmu_state;
 
 typedef struct fmu {
@@ -210,6 +212,8 @@ static int fmu_evaluate(fmu *f, const int group)
         FB_PUBLIC(energies)(m, s->energies, s->energies + 1);
     if (group == FMU_POINTS)
         FB_PUBLIC(points)(m, s->points);
+    if (group == FMU_VECTORS)
+        fmu_vectors(m, s->vectors);
     s->valid |= group;
     return 1;
 }
@@ -237,12 +241,14 @@ static int fmu_get(fmu *f, const unsigned *references, const size_t n, double *v
             if (!fmu_evaluate(f, v < OF_PARAMETERS ? FMU_RATES
                                  : v < OF_ENERGIES ? FMU_OUTPUTS
                                  : v < OF_POINTS   ? FMU_ENERGIES
-                                                   : FMU_POINTS))
+                                 : v < OF_VECTORS  ? FMU_POINTS
+                                                   : FMU_VECTORS))
                 return 0;
             values[i] = v < OF_PARAMETERS ? s->rates[v - OF_RATES]
                         : v < OF_ENERGIES ? s->outputs[v - OF_OUTPUTS]
                         : v < OF_POINTS   ? s->energies[v - OF_ENERGIES]
-                                          : s->points[v - OF_POINTS];
+                        : v < OF_VECTORS  ? s->points[v - OF_POINTS]
+                                          : s->vectors[v - OF_VECTORS];
         }
     }
     return 1;

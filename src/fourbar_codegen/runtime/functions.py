@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.roles import Role
+from fourbar_codegen.roles import QUANTITIES, VECTORS, Role
 from fourbar_codegen.runtime.evaluator import Evaluator
 
 __all__ = ["Functions"]
@@ -116,6 +116,14 @@ class Functions(Evaluator):
         """Kinetic and potential energy, shape (2,)."""
         return self.evaluate(ENERGY, t, x, p, r)[0]
 
+    def quantities_along(
+        self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None
+    ) -> dict[str, Floats]:
+        """The vectors of `VECTORS` by name, each of shape (3, n_t), for states and inputs in columns."""
+        wanted: dict[int, tuple[int, ...]] = {role: (*range(len(of)),) for role, of in QUANTITIES.items()}
+        _, found = self.evaluate_along(wanted, times, states, inputs, p)
+        return {quantity.name: each for quantity, each in zip(VECTORS, found, strict=True)}
+
     def drawing(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats]:
@@ -126,6 +134,10 @@ class Functions(Evaluator):
     def drawing_along(self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None) -> list[Floats]:
         """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
         return self.evaluate_along({Role.DRAWING: (0, 1)}, times, states, inputs, p)[1]
+
+    def motion_along(self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None) -> list[Floats]:
+        """Velocities and accelerations of the drawn points, shape (n_points, 3, n_t), NaN at singular positions."""
+        return self.evaluate_along({Role.MOTION: (1, 2)}, times, states, inputs, p)[1]
 
     def motion(
         self,

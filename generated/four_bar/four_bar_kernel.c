@@ -29,7 +29,7 @@ enum {
     N_POINTS = 11,
     N_FORCES = 1,
     N_RANK = 2,
-    N_CONSTANTS = 33
+    N_CONSTANTS = 37
 };
 #define FB_DERIVATIVES four_bar_derivatives
 #define FB_HAS_BATCH_FUNCTIONS
@@ -64,6 +64,8 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     const fb_real l2 = p[2];
     const fb_real z2 = rho*l2;
     constants[28] = (1.0/4.0)*z2;
+    constants[33] = z2;
+    constants[35] = (1.0/2.0)*z2;
     const fb_real z3 = z2*l2*l2;
     constants[29] = (1.0/12.0)*z3;
     const fb_real z4 = z0*l3*l3;
@@ -89,6 +91,8 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     constants[24] = z10;
     const fb_real l1 = p[1];
     const fb_real z11 = fb_abs(l1);
+    constants[27] = 1e-12 + z11;
+    const fb_real z12 = 1.0/(z2 + z0 + z1);
     constants[0] = rho;
     constants[1] = l1;
     constants[2] = l2;
@@ -100,8 +104,9 @@ static void prepare(const fb_real *restrict p, fb_real *restrict constants)
     constants[6] = c;
     constants[7] = g;
     constants[19] = (1.0/2.0)*l2;
-    constants[27] = 1e-12 + z11;
     constants[32] = (1.0/2.0)*l4;
+    constants[34] = (1.0/2.0)*z12;
+    constants[36] = z12;
 }
 
 /* The inputs' expressions; NaN for inputs without one. */
@@ -561,6 +566,84 @@ static void unknown_forces(double t, const double *restrict x, const double *res
     force_effect[2] = 0.0;
 }
 
+/* Linear momentum; angular momentum about the fixed point, and about the mass centre. */
+static void momenta(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict momentum, double *restrict angular_momentum,
+    double *restrict spin)
+{
+    (void)t;
+    (void)r;
+    const double q1 = x[0];
+    const double q2 = x[1];
+    const double z6 = q1 + q2;
+    const double q3 = x[2];
+    const double z13 = q3 + z6;
+    const fb_angles angles0 = fb_angles_of(q1, z6, z13, 0.0);
+    const double u1 = x[3];
+    const double l2 = constants[2];
+    const double z0 = u1*l2;
+    const double z1 = angles0.sin[0];
+    const double z2 = z0*z1;
+    const double k33 = constants[33];
+    const double z3 = k33*z2;
+    const double u2 = x[4];
+    const double z4 = u1 + u2;
+    const double l3 = constants[3];
+    const double z5 = l3*z4;
+    const double z7 = angles0.sin[1];
+    const double z8 = z5*z7;
+    const double z9 = z2 + (1.0/2.0)*z8;
+    const double k8 = constants[8];
+    const double z10 = k8*z9;
+    const double u3 = x[5];
+    const double z11 = u3 + z4;
+    const double l4 = constants[4];
+    const double z12 = l4*z11;
+    const double z14 = angles0.sin[2];
+    const double k9 = constants[9];
+    const double z15 = k9*((1.0/2.0)*z12*z14 + (1.0/2.0)*z8 + z9);
+    const double z16 = (1.0/2.0)*z3 + z10 + z15;
+    momentum[0] = -z16;
+    const double z17 = angles0.cos[0];
+    const double z18 = z0*z17;
+    const double z19 = k33*z18;
+    const double z20 = angles0.cos[1];
+    const double z21 = z5*z20;
+    const double z22 = z18 + (1.0/2.0)*z21;
+    const double z23 = k8*z22;
+    const double z24 = angles0.cos[2];
+    const double z25 = k9*((1.0/2.0)*z12*z24 + (1.0/2.0)*z21 + z22);
+    const double z26 = (1.0/2.0)*z19 + z23 + z25;
+    momentum[1] = z26;
+    const double z27 = l2*z17;
+    const double l1 = constants[1];
+    const double z28 = l1 + z27;
+    const double z29 = l2*z1;
+    const double z30 = l3*z7;
+    const double z31 = z29 + (1.0/2.0)*z30;
+    const double z32 = l3*z20;
+    const double z33 = z27 + z28 + z32;
+    const double z34 = l4*z24 + z32 + z33;
+    const double k32 = constants[32];
+    const double z35 = (1.0/2.0)*z30 + z31 + z14*k32;
+    const double k14 = constants[14];
+    const double k29 = constants[29];
+    const double k30 = constants[30];
+    const double z36 = (1.0/4.0)*(z28*z19 + z29*z3) + z31*z10 + u1*k29 + z4*k30 + (1.0/2.0)*z23*z33 + z11*k14
+        + (1.0/2.0)*z25*z34 + z15*z35;
+    angular_momentum[2] = z36;
+    const double k36 = constants[36];
+    const double k35 = constants[35];
+    const double k34 = constants[34];
+    const double z37 = (k33*z28 + k8*z33 + k9*z34)*z26*k34 + k36*(k8*z31 + z29*k35 + k9*z35)*z16 - z36;
+    momentum[2] = 0.0;
+    angular_momentum[0] = 0.0;
+    angular_momentum[1] = 0.0;
+    spin[0] = 0.0;
+    spin[1] = 0.0;
+    spin[2] = -z37;
+}
+
 #if !defined(FB_RHS_ONLY) && !defined(FB_LIBRARY)
 static const fb_array default_inputs_results[] = {{"inputs", 1, -1}};
 static int call_default_inputs(const fb_at *at, const double *const *arguments, double *const *results,
@@ -673,6 +756,14 @@ static int call_unknown_forces(const fb_at *at, const double *const *arguments, 
     return FB_OK;
 }
 
+static const fb_array momenta_results[] = {{"momentum", 3, -1}, {"angular_momentum", 3, -1}, {"spin", 3, -1}};
+static int call_momenta(const fb_at *at, const double *const *arguments, double *const *results, void *work)
+{
+    (void)arguments, (void)work;
+    momenta(at->t, at->x, at->constants, at->r, results[0], results[1], results[2]);
+    return FB_OK;
+}
+
 static int call_dynamics(const fb_at *, const double *const *, double *const *, void *);
 static const fb_array dynamics_results[5];
 static const fb_function own_functions[FB_N_ROLES] = {
@@ -695,6 +786,7 @@ static const fb_function own_functions[FB_N_ROLES] = {
         FB_NEEDS_MULTIPLIERS, 0, 1, NULL, state_rates_results},
     [FB_UNKNOWN_FORCES] = {call_unknown_forces, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 1, 6,
         unknown_forces_arguments, unknown_forces_results},
+    [FB_MOMENTA] = {call_momenta, FB_NEEDS_STATE, 0, 3, NULL, momenta_results},
 };
 #endif
 

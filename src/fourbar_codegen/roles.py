@@ -91,6 +91,7 @@ class Role(_Enum):
         "K v, the change of q for a change v of the speeds' integrals, for q' = K u + k.",
     )
     ENERGY = Needs.STATE, "Kinetic and potential energy."
+    MOMENTA = Needs.STATE, "Linear momentum; angular momentum about the fixed point, and about the mass centre."
     OUTPUT = _HELD, "The outputs."
     STATE_RATES = _HELD, "z'."
     UNKNOWN_FORCES = (
@@ -141,7 +142,13 @@ class Quantity:
     description: str
 
 
-QUANTITIES: dict[Role, tuple[Quantity, ...]] = {}
+QUANTITIES = {
+    Role.MOMENTA: (
+        Quantity("momentum", "kg m/s", "linear momentum"),
+        Quantity("angular_momentum", "kg m^2/s", "angular momentum about the System's fixed point"),
+        Quantity("spin", "kg m^2/s", "angular momentum about the mass centre"),
+    ),
+}
 """The results of functions of a state that runs, tables and exported libraries have beside energies."""
 
 VECTORS = tuple(quantity for of_role in QUANTITIES.values() for quantity in of_role)

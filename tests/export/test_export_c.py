@@ -130,6 +130,9 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
         kinetic, potential = ctypes.c_double(), ctypes.c_double()
         library.call("energies", mechanism, ctypes.byref(kinetic), ctypes.byref(potential))
         check([kinetic.value, potential.value], compiled.energy(*at))
+        vectors = np.zeros(3), np.zeros(3), np.zeros(3)
+        library.call("momenta", mechanism, *vectors)
+        check(np.array(vectors), np.array(compiled.momentum(*at)))
         outputs = np.zeros(compiled.n_o)
         if compiled.n_o:
             assert library.call("outputs", mechanism, outputs) == 0

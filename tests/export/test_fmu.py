@@ -119,6 +119,23 @@ def test_fmu_in_co_simulation_gives_the_motion_of_simulate(fmus, fmi, four_bar):
 
 
 @BOTH
+def test_fmu_has_momenta_as_outputs_on_request(fmi, tmp_path):
+    model = fb.models.slider_crank()
+    path = str(fb.export_fmu(model, tmp_path / "moving.fmu", fmi=fmi, quantities=["momentum", "spin"]))
+    assert validate_fmu(path) == []
+    names = [variable.name for variable in fmpy.read_model_description(path).modelVariables]
+    assert [name for name in names if name.endswith(("m_x", "n_x"))] == ["momentum_x", "spin_x"]
+    found = fmpy.simulate_fmu(
+        path, fmi_type="CoSimulation", stop_time=0.5, output_interval=0.1, relative_tolerance=1e-10,
+        output=["momentum_x", "momentum_y", "spin_z"],
+    )  # fmt: skip
+    slider_crank = fb.compile_model(model)
+    run = slider_crank.simulate((0.0, 0.5), t_eval=found["time"].clip(0.0, 0.5), rtol=1e-12, atol=1e-12)
+    for name in ("momentum_x", "momentum_y", "spin_z"):
+        np.testing.assert_allclose(found[name], run[name], rtol=0, atol=1e-8)  # a hundred times the tolerance
+
+
+@BOTH
 def test_fmu_in_model_exchange_keeps_loops_closed_and_gives_the_motion(fmus, fmi):
     """FMPy's integrator, CVODE, knows nothing of the constraints: at events the state is projected onto them."""
     slider_crank = fb.compile_model(fb.models.slider_crank())

@@ -196,7 +196,7 @@ def calls_of(name: str) -> dict[str, Call]:
     for function in (
         "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
         "velocity_constraints", "multipliers", "output", "output_jacobian", "output_parameter_jacobian",
-        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "linearize",
+        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "momentum", "linearize",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.

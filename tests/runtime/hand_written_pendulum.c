@@ -164,6 +164,17 @@ static void energy(double t, const double *restrict x, const double *restrict co
     energies[1] = constants[WEIGHT] * x[1];
 }
 
+static void momenta(double t, const double *restrict x, const double *restrict constants, const double *restrict r,
+                    double *restrict momentum, double *restrict angular_momentum, double *restrict spin)
+{
+    (void)t, (void)r;
+    for (int i = 0; i < 3; ++i) {
+        momentum[i] = i < 2 ? constants[MASS] * x[2 + i] : 0.0;
+        angular_momentum[i] = spin[i] = 0.0; /* of a point mass about itself */
+    }
+    angular_momentum[2] = constants[MASS] * (x[0] * x[3] - x[1] * x[2]);
+}
+
 static double sum_of(const double *multipliers)
 {
     double sum = 0.0;
@@ -226,6 +237,7 @@ CALL(constraint_scale, OF_STATE, results[0], results[1], results[2])
 CALL(invariant_correction, OF_STATE, results[0])
 CALL(coordinate_change, OF_STATE, arguments[0], results[0])
 CALL(energy, OF_STATE, results[0])
+CALL(momenta, OF_STATE, results[0], results[1], results[2])
 CALL(output, OF_SOLUTION, results[0])
 CALL(state_rates, OF_SOLUTION, results[0])
 CALL(unknown_forces, OF_STATE, arguments[0], results[0], results[1], results[2], results[3], results[4], results[5])
@@ -245,6 +257,7 @@ static const fb_function own_functions[FB_N_ROLES] = {
     [FB_INVARIANT_CORRECTION] = ROW(invariant_correction, FB_NEEDS_COORDINATES, VECTOR(invariant_correction, N_Q)),
     [FB_COORDINATE_CHANGE] = ROW_OF(VECTOR(change, N_U), coordinate_change, ALL, VECTOR(coordinate_change, N_Q)),
     [FB_ENERGY] = ROW(energy, STATE, VECTOR(energies, 2)),
+    [FB_MOMENTA] = ROW(momenta, STATE, VECTOR(momentum, 3), VECTOR(angular_momentum, 3), VECTOR(spin, 3)),
     [FB_OUTPUT] = ROW(output, SOLVED, VECTOR(outputs, N_O)),
     [FB_STATE_RATES] = ROW(state_rates, SOLVED, VECTOR(state_rates, 0)),
     [FB_UNKNOWN_FORCES] =

@@ -75,6 +75,14 @@ def test_energies_of_the_pendulum_are_those_of_a_point_mass(pendulum):
     assert pendulum.potential_energy(0.0, x) == pytest.approx(-MASS * GRAVITY * LENGTH * np.cos(0.4), rel=1e-15)
 
 
+def test_momentum_of_the_pendulum_is_that_of_a_point_mass(pendulum):
+    x = states_at(LENGTH, 0.4, -2.0)
+    momentum, about_pivot, spin = pendulum.momentum(0.0, x)
+    np.testing.assert_allclose(momentum, [MASS * x[2], MASS * x[3], 0.0], rtol=1e-15)
+    np.testing.assert_allclose(about_pivot, [0.0, 0.0, MASS * LENGTH**2 * -2.0], rtol=1e-15)
+    assert spin.tolist() == [0.0, 0.0, 0.0]
+
+
 def test_a_state_where_the_jacobian_vanishes_is_reported_as_singular(either_pendulum):
     with pytest.raises(fb.SimulationError, match="lost rank"):
         either_pendulum.rhs(0.0, [0.0, 0.0, 1.0, 0.0])

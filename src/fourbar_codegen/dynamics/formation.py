@@ -41,6 +41,7 @@ from fourbar_codegen.dynamics.equations import (
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
+from fourbar_codegen.dynamics.momenta import form_momenta
 from fourbar_codegen.dynamics.picture import applied_forces, find_picture
 from fourbar_codegen.dynamics.potential import Potential, find_potential
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
@@ -61,6 +62,7 @@ from fourbar_codegen.expressions.identities import deduplicate
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.mechanism import Mechanism
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
+from fourbar_codegen.roles import Role
 
 __all__ = ["check_velocity_constraints", "form_equations"]
 
@@ -127,7 +129,7 @@ def form_equations(model: Model) -> Equations:
         velocities=velocities,
         outputs=outputs,
         energy=energy,
-        quantities={},
+        quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture)},
         drawing=drawing,
         warnings=warnings,
     )

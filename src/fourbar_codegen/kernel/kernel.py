@@ -31,6 +31,7 @@ from fourbar_codegen.kernel.loading import (
 )
 from fourbar_codegen.layout import Json, Layout
 from fourbar_codegen.progress import Progress
+from fourbar_codegen.roles import Role
 from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite, versions
 from fourbar_codegen.runtime.functions import DYNAMICS, ENERGY, OUTPUT, POSITION, Functions
 
@@ -614,6 +615,38 @@ class Kernel(Functions):
         if r is None and math.isnan(energy) and any(e.expression is None for e in self.layout.inputs):
             raise ModelError(self.missing())
         return self._finite_number(energy, t, x)
+
+    def momentum(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats, Floats]:
+        """Linear and angular momentum of the bodies that move, in the inertial frame.
+
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Returns
+        -------
+        momentum : ndarray, shape (3,)
+            p = sum m v, kg m/s.
+        angular_momentum : ndarray, shape (3,)
+            L_O = sum (r x m v + I w) about the System's fixed point, kg m^2/s. NaN if the position of a mass centre
+            relative to it is not known.
+        spin : ndarray, shape (3,)
+            L_C = L_O - r x p about the mass centre r of these bodies, kg m^2/s. NaN also if their total mass is zero.
+
+        Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, section 3.5.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> momentum, about_fixed_point, _ = fb.load("four_bar").momentum(0.0, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+        >>> momentum.round(6).tolist(), about_fixed_point.shape
+        ([0.0, 243.25, 0.0], (3,))
+        """
+        momentum, angular_momentum, spin = self.evaluate(Role.MOMENTA, t, x, p, r)
+        return momentum, angular_momentum, spin
 
 
 def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:

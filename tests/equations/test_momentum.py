@@ -1,0 +1,96 @@
+"""Momenta of bodies, against closed forms: free bodies, tops, bodies that fall and swing."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from builders import systems
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+T = me.dynamicsymbols._t
+MASS, INERTIA = 2.0, (1.0, 2.0, 3.0)
+
+
+def free_body():
+    """A body in space without loads: three coordinates, and Euler angles with the body's angular velocity."""
+    q, v = me.dynamicsymbols("x y z a b c"), me.dynamicsymbols("v1:4 w1:4")
+    ground, body = me.ReferenceFrame("N"), me.ReferenceFrame("B")
+    origin, centre = me.Point("O"), me.Point("C")
+    body.orient_body_fixed(ground, q[3:], "123")
+    rates = body.ang_vel_in(ground)
+    spin = sum((speed * axis for speed, axis in zip(v[3:], body, strict=True)), 0 * body.x)
+    body.set_ang_vel(ground, spin)
+    origin.set_vel(ground, 0)
+    centre.set_pos(origin, sum((each * axis for each, axis in zip(q[:3], ground, strict=True)), 0 * ground.x))
+    centre.set_vel(ground, sum((each * axis for each, axis in zip(v[:3], ground, strict=True)), 0 * ground.x))
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("body", centre, body, MASS, (me.inertia(body, *INERTIA), centre)))
+    system.q_ind, system.u_ind = q, v
+    system.add_kdes(
+        *(each.diff(T) - speed for each, speed in zip(q[:3], v[:3], strict=True)),
+        *((rates - spin).dot(axis) for axis in body),
+    )
+    return fb.Model(system, name="free_body")
+
+
+def test_momenta_of_a_free_body_stay_those_of_its_initial_state():
+    body = fb.compile_model(free_body())
+    position, velocity, rates = np.array([1.0, -2.0, 0.5]), np.array([0.3, 0.1, -0.2]), np.array([0.4, 2.0, 0.1])
+    x0 = np.concatenate((position, [0.0, 0.0, 0.0], velocity, rates))
+    run = body.simulate((0.0, 5.0), x0, rtol=1e-11, atol=1e-13)
+    spin = INERTIA * rates  # the body's axes are those of the ground at first
+    about_origin = np.cross(position, MASS * velocity) + spin
+    assert np.ptp(run["a"]) > 0.1  # it tumbles
+    # Of double: the state's rounding. Of a run: its tolerance times the rates, over 5 s.
+    for name, expected in (("momentum", MASS * velocity), ("angular_momentum", about_origin), ("spin", spin)):
+        np.testing.assert_allclose(run[name][:, 0], expected, rtol=1e-15, atol=1e-15)
+        np.testing.assert_allclose(run[name], expected[:, None] + 0.0 * run[name], atol=1e-9)
+    np.testing.assert_array_equal(run["spin_y"], run["spin"][1])
+
+
+def test_spinning_top_keeps_the_vertical_component_of_its_angular_momentum():
+    top = fb.compile_model(fb.Model(systems.quaternion_top(), name="top"))
+    turn = np.array([np.cos(0.2), np.sin(0.2), 0.0, 0.0])
+    run = top.simulate((0.0, 3.0), np.concatenate((turn, [0.1, 0.2, 20.0])), rtol=1e-11, atol=1e-13)
+    about_pivot = run["angular_momentum"]
+    np.testing.assert_allclose(about_pivot[2], about_pivot[2, 0], rtol=1e-9)
+    assert np.ptp(about_pivot[0]) > 0.1  # gravity turns the rest
+    # I_C w + r x m v, with m = 1 at the distance 1, is the inertia about the pivot times w, in the body's axes.
+    expected = np.array([2.0, 3.0, 3.0]) * [0.1, 0.2, 20.0]
+    assert np.linalg.norm(about_pivot[:, 0]) == pytest.approx(np.linalg.norm(expected), rel=1e-14)
+
+
+def test_momenta_change_by_the_external_forces_alone():
+    """Two particles on a spring fall: p' is their weight, and the spin about their mass centre stays."""
+    q, u = me.dynamicsymbols("x1 y1 x2 y2"), me.dynamicsymbols("u1:5")
+    m1, m2, k, g = sm.symbols("m1 m2 k g")
+    ground, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(ground, 0)
+    points = [me.Point(f"P{number}") for number in (1, 2)]
+    for number, point in enumerate(points):
+        own, speeds = q[2 * number : 2 * number + 2], u[2 * number : 2 * number + 2]
+        point.set_pos(origin, own[0] * ground.x + own[1] * ground.y)
+        point.set_vel(ground, speeds[0] * ground.x + speeds[1] * ground.y)
+    system = System(ground, origin)
+    system.add_bodies(*(me.Particle(str(mass), point, mass) for mass, point in zip((m1, m2), points, strict=True)))
+    system.q_ind, system.u_ind = q, u
+    system.add_kdes(*(each.diff(T) - speed for each, speed in zip(q, u, strict=True)))
+    between = points[1].pos_from(points[0])
+    system.add_loads(me.Force(points[0], k * between), me.Force(points[1], -k * between))
+    system.apply_uniform_gravity(-g * ground.y)
+    pair = fb.compile_model(fb.Model(system, name="pair", parameters={m1: 1.0, m2: 3.0, k: 5.0, g: 9.81}))
+    run = pair.simulate((0.0, 2.0), [0.0, 0.0, 1.0, 0.5, 0.2, 3.0, -0.1, 1.0], rtol=1e-11, atol=1e-13)
+    momentum = np.array([0.2 - 0.3, 6.0, 0.0])[:, None] + np.array([0.0, -4.0 * 9.81, 0.0])[:, None] * run.t
+    np.testing.assert_allclose(run["momentum"], momentum, atol=1e-9)
+    # m1 m2 / (m1 + m2) times the relative position and velocity
+    np.testing.assert_allclose(run["spin_z"], 0.75 * (1.0 * (1.0 - 3.0) - 0.5 * (-0.1 - 0.2)), rtol=1e-9)
+
+
+def test_angular_momenta_without_positions_and_without_mass_are_nan():
+    block = fb.compile_model(systems.coordinate_free())
+    momentum, about_origin, about_centre = block.momentum(0.0, [1.5])
+    assert momentum.tolist() == [3.0, 0.0, 0.0]
+    assert np.isnan(about_origin).all()
+    assert np.isnan(about_centre).all()

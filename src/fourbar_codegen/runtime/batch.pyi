@@ -1,6 +1,7 @@
 """Types of the compiled module batch.pyx, which holds the documentation."""
 
 from collections.abc import Sequence
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,12 +14,14 @@ DONE: int
 
 def width(evaluator: Evaluator) -> int: ...
 
+@final
 class Batch:
     def __init__(
         self, evaluator: Evaluator, t: Floats, x: Floats, p: Floats, r: Floats | None, rates: Floats
     ) -> None: ...
     def evaluate(self, begin: int, end: int) -> None: ...
 
+@final
 class Jacobians:
     results: list[Floats]
     def __init__(
@@ -28,6 +31,7 @@ class Jacobians:
     def form(self, rates: Floats, multipliers: Floats, formulation: str, wrt: Sequence[str]) -> None: ...
     def evaluate(self, begin: int, end: int) -> None: ...
 
+@final
 class Members:
     samples: Floats
     status: NDArray[np.int8]

@@ -1,5 +1,7 @@
 """Types of the compiled module implicit.pyx, which holds the documentation."""
 
+from typing import final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,11 +11,13 @@ Floats = NDArray[np.float64]
 
 FORMULATIONS: tuple[str, ...]
 
+@final
 class Rates:
     def __init__(self, ode: Ode) -> None: ...
     def evaluate(self, t: float, x: Floats, rates: Floats) -> None: ...
     def jacobian(self, t: float, x: Floats, rates: object, matrix: Floats) -> None: ...
 
+@final
 class Residual:
     def __init__(self, ode: Ode, formulation: str) -> None: ...
     @property

@@ -1,7 +1,7 @@
 """Types of the compiled module integrator.pyx, which holds the documentation."""
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,6 +21,7 @@ class Directions(Protocol):
     def sources(self) -> Sequence[Floats | None]: ...
     def by_name(self, derivatives: Floats) -> dict[str, Floats]: ...
 
+@final
 class Ode:
     projects: bool
     in_pieces: bool
@@ -81,6 +82,7 @@ class Table:
     def jumps(self, varied: bool = False) -> NDArray[np.bool_]: ...
     def __init__(self, times: ArrayLike, coefficients: ArrayLike, before: float, after: float) -> None: ...
 
+@final
 class Run:
     ode: Ode
     @property
@@ -145,6 +147,7 @@ class Steps:
         self, by_states: Floats, by_outputs: Floats | None = None
     ) -> tuple[Floats, Floats, list[Floats | None]]: ...
 
+@final
 class Stepper:
     @property
     def t(self) -> float: ...
@@ -163,6 +166,7 @@ class Stepper:
     ) -> None: ...
     def step(self, r: Values | None = None) -> Floats: ...
 
+@final
 class DenseOutput:
     def __init__(
         self,

@@ -166,7 +166,7 @@ def by_stage(model: fb.Model) -> dict[str, float]:
         compiled = fb.compile_model(model)
     now, children = spent()
     found[STAGES[stage]] += now - before
-    compiled.require_variations()
+    compiled.require_products()
     return {**found, COMPILERS: children - of_compilers, LATER: sum(spent()) - now - children}
 
 

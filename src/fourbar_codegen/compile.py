@@ -71,7 +71,7 @@ def generate_sources(model: Model) -> dict[str, str]:
     >>> sources = fb.generate_sources(fb.models.four_bar())
     >>> sorted(name for name in sources if "avx" not in name)
     ['four_bar.pyx', 'four_bar_batch.c', 'four_bar_derivatives.c', 'four_bar_kernel.c',
-     'four_bar_kernel.h', 'four_bar_variations.c', 'manifest.json']
+     'four_bar_kernel.h', 'four_bar_products.c', 'manifest.json']
     """
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         equations, _, sources = _generate(model, progress)
@@ -135,35 +135,35 @@ def generate_derivatives(equations: Equations, program: Program) -> tuple[Deriva
     return derivatives, [schedule_function(function, inline_angles=False) for function in functions]
 
 
-def _generate_variations(equations: Equations, program: Program) -> list[ScheduledFunction]:
+def _generate_products(equations: Equations, program: Program) -> list[ScheduledFunction]:
     """Products of derivatives with vectors."""
-    from fourbar_codegen.dynamics.variations import form_variations
-    from fourbar_codegen.lowering.lower import lower_variations
+    from fourbar_codegen.dynamics.products import form_products
+    from fourbar_codegen.lowering.lower import lower_products
     from fourbar_codegen.lowering.schedule import schedule_function
 
-    functions = lower_variations(program, equations, form_variations(equations))
+    functions = lower_products(program, equations, form_products(equations))
     return [schedule_function(function, inline_angles=True) for function in functions]
 
 
 def _source_of(equations: Equations, program: Program, names: dict[str, tuple[str, ...]], part: str) -> str:
     """The C source of a part that is compiled at its first use."""
-    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text
+    from fourbar_codegen.codegen.c_source import derivatives_text, products_text
 
     if part == "derivatives":
         return derivatives_text(program.name, generate_derivatives(equations, program)[1], names)
-    return variations_text(program.name, _generate_variations(equations, program), names)
+    return products_text(program.name, _generate_products(equations, program), names)
 
 
 def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives, dict[str, str]]:
     """The equations, their derivatives, and all sources made from them."""
     generated = generate_kernel(model, progress)
-    from fourbar_codegen.codegen.c_source import derivatives_text, variations_text, version_texts
+    from fourbar_codegen.codegen.c_source import derivatives_text, products_text, version_texts
     from fourbar_codegen.codegen.cython_source import wrapper_text
     from fourbar_codegen.codegen.manifest import operations_of
 
     equations, program, names = generated.equations, generated.scheduled.program, generated.names
     # On a tape of their own, as at their first use: the text of a part does not depend on what was formed before.
-    varied = _generate_variations(*pickle.loads(pickle.dumps((equations, program))))
+    varied = _generate_products(*pickle.loads(pickle.dumps((equations, program))))
     derivatives, scheduled = generate_derivatives(equations, program)
     functions = (*program.functions, *(f.function for f in (*scheduled, *varied)))
     layout = replace(generated.layout, operations=operations_of(functions))
@@ -174,7 +174,7 @@ def _generate(model: Model, progress: Progress) -> tuple[Equations, Derivatives,
             **generated.sources,
             **{f"{model.name}{suffix}": text for suffix, text in version_texts(generated.scheduled).items()},
             f"{model.name}_derivatives.c": derivatives_text(model.name, scheduled, names),
-            f"{model.name}_variations.c": variations_text(model.name, varied, names),
+            f"{model.name}_products.c": products_text(model.name, varied, names),
             f"{model.name}.pyx": wrapper_text(model, layout),
             "manifest.json": layout.to_text(),
         },
@@ -377,7 +377,7 @@ def _comparison(
     """A function that compares a compiled model with its equations; it returns at how many states."""
 
     def compare(module: Path) -> int:
-        from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_variations
+        from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_products
         from fourbar_codegen.verify import verify
 
         progress.stage("checking")
@@ -387,8 +387,8 @@ def _comparison(
             compared.append(verify(model, equations, derivatives))
             if not model.lacks_batch_functions:
                 compare_batch_functions(model)
-            if not model.lacks_variations:
-                compare_variations(model)
+            if not model.lacks_products:
+                compare_products(model)
         return min(compared)
 
     return compare

@@ -250,7 +250,7 @@ def _inputs(model: CompiledModel) -> Callable[..., Any]:
         return _difference(lambda time: evaluate(time, p), float(t))
 
     def differentiate(t: Any, p: Any) -> tuple[Floats, ...]:
-        return (model.default_input_sensitivity(float(t), np.asarray(p)),)
+        return (model.default_input_partials(float(t), np.asarray(p)),)
 
     return _function(evaluate, by_time, differentiate, model.n_r, (model.n_p,), "sequential")
 

@@ -9,6 +9,7 @@ import tempfile
 import zipfile
 from collections.abc import Sequence
 from contextlib import ExitStack
+from itertools import chain
 from pathlib import Path
 
 from fourbar_codegen.arguments import listed, one_of
@@ -153,6 +154,13 @@ def export_fmu(
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout
+        for vector in chain.from_iterable(generated.equations.quantities.values()):
+            if vector.name in wanted and any(entry.is_nan for entry in vector.entries):
+                raise ModelError(
+                    f"The {vector.name.replace('_', ' ')} of {layout.name} is not known: it contains positions that "
+                    "are not known, or parameters that the equations of motion do not need. Name these in "
+                    "Model(parameters=...)."
+                )
         from fourbar_codegen.codegen.fmu import (
             FMU_HEADERS,
             build_description,

@@ -1,4 +1,4 @@
-"""What both halves of the package know of a compiled model.
+"""What code generation and simulation know of a compiled model.
 
 `Layout` is its description, the manifest, which JSON text carries from one half to the other.
 """
@@ -58,7 +58,7 @@ FORMAT = 19
 """Of the manifest's JSON text."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
-"""Parts of the manifest that the C code does not depend on, besides the parameters' values, units and descriptions."""
+"""Parts of the manifest that the C code does not depend on; nor does it on parameters' values, units, descriptions."""
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What JSON can hold."""
@@ -432,6 +432,18 @@ class Layout:
             If it is not a manifest, or one of another version of this package.
         """
         return cls.from_json(_object(json.loads(text)))
+
+    @staticmethod
+    def identity(text: str | bytes) -> tuple[str, str]:
+        """Name and fingerprint in JSON text, also in that of other versions of this package.
+
+        Raises
+        ------
+        TypeError, KeyError, ValueError
+            If it is not a manifest.
+        """
+        data = _object(json.loads(text))
+        return _one(str, data["name"]), _one(str, data["fingerprint"])
 
     def to_text(self) -> str:
         """JSON text, as written beside the sources."""

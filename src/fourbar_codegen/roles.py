@@ -111,7 +111,7 @@ class Role(_Enum):
     OUTPUT_PARAMETER_PARTIALS = _HELD, "d/dp of the outputs, with u' and lambda held."
     OUTPUT_INPUT_PARTIALS = _HELD, "d/dr of the outputs, with u' and lambda held."
     OUTPUT_SOLUTION_PARTIALS = _HELD, "d/du' and d/dlambda of the outputs."
-    # In the part `variations`.
+    # In the part `products`.
     RESIDUAL_JVP = _HELD, "The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held."
     CONSTRAINT_JVP = Needs.STATE, "The JVP of constraint_violation along directions of (x, p, r)."
     RESIDUAL_VJP = _HELD, "The gradient with respect to (x, p, r) of weights times q' and the residual."
@@ -122,12 +122,12 @@ class Role(_Enum):
         """Where the function is: in the ``kernel``, or in a part that may be compiled later."""
         if self < Role.DRAWING:
             return "kernel"
-        return "derivatives" if self < Role.RESIDUAL_JVP else "variations"
+        return "derivatives" if self < Role.RESIDUAL_JVP else "products"
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A vector that is known at each state, in the inertial frame: a result of a function of the table.
+    """A vector that is known at each state, in the inertial frame: a result of a function of the kernel's table.
 
     Attributes
     ----------
@@ -145,7 +145,7 @@ class Quantity:
 QUANTITIES = {
     Role.MOMENTA: (
         Quantity("momentum", "kg m/s", "linear momentum"),
-        Quantity("angular_momentum", "kg m^2/s", "angular momentum about the System's fixed point"),
+        Quantity("angular_momentum", "kg m^2/s", "angular momentum about the point that positions refer to"),
         Quantity("spin", "kg m^2/s", "angular momentum about the mass centre"),
     ),
 }

@@ -165,9 +165,9 @@ def test_parts_of_a_model_are_formed_at_their_first_use_with_a_modules_text(monk
     assert model.rhs(0.0, np.full(model.n_x, 0.1)).shape == (model.n_x,)
     assert entries(tmp_path) == [model.name, f"{model.name}_kernel"]
     sent = pickle.loads(pickle.dumps(fb.load(model.path)))
-    sent.require_variations()
+    sent.require_products()
     expected = fb.generate_sources(make())
-    for part in ("derivatives", "variations"):
+    for part in ("derivatives", "products"):
         [found] = [path.read_text() for path in tmp_path.glob(f"*/{model.name}_{part}.c")]
         assert found == expected[f"{model.name}_{part}.c"]
 
@@ -333,9 +333,9 @@ def test_derivatives_are_compiled_at_their_first_use_and_not_by_explicit_runs(mo
         ("derivatives", r"(residual_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative dx'/dx"),
         ("derivatives", r"(parameter_jacobian\[1\] = )", r"\g<1>0.1 + ", "derivative"),
         ("derivatives", r"(velocity_jacobian\[0\] = )", r"\g<1>0.1 + ", r"derivative d\(J u \+ b\)/dq"),
-        ("variations", r"(residual_variation\[1\] = )", r"\g<1>0.1 + ", "along a direction"),
-        ("variations", r"(gradient\[2\] = )", r"\g<1>0.1 + ", "product gradient of"),
-        ("variations", r"(velocity_variation\[0\] = )", r"\g<1>0.1 + ", "product constraint violations"),
+        ("products", r"(residual_tangent\[1\] = )", r"\g<1>0.1 + ", "along a direction"),
+        ("products", r"(gradient\[2\] = )", r"\g<1>0.1 + ", "product gradient of"),
+        ("products", r"(velocity_tangent\[0\] = )", r"\g<1>0.1 + ", "product constraint violations"),
         ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for several states side by side"),
     ],
 )
@@ -356,7 +356,7 @@ def test_defect_of_a_part_compiled_later_is_found_and_not_kept(
             getattr(model, f"require_{'batch_functions' if part == 'batch' else part}")()
     made = {
         "derivatives": ["derivatives_source"],
-        "variations": ["derivatives", "derivatives_source", "variations_source"],
+        "products": ["derivatives", "derivatives_source", "products_source"],
     }
     assert entries(tmp_path) == sorted(["slider", "slider_kernel", *(f"slider_{name}" for name in made.get(part, []))])
 

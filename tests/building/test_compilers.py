@@ -143,7 +143,7 @@ def test_versions_of_a_kernel_for_each_instruction_set_give_the_same_rates(four_
     ("part", "entry", "message"),
     [
         ("kernel", r"forcing\[1\] = ", "function dynamics, result forcing"),
-        ("variations", r"residual_variation\[0\] = ", "product dx' along a direction"),
+        ("products", r"residual_tangent\[0\] = ", "product dx' along a direction"),
     ],
 )
 def test_a_version_that_differs_from_the_equations_is_not_built(

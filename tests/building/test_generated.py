@@ -37,9 +37,9 @@ NAMES = [
     "four_bar_kernel.h",
     "four_bar_kernel_avx2.c",
     "four_bar_kernel_avx512.c",
-    "four_bar_variations.c",
-    "four_bar_variations_avx2.c",
-    "four_bar_variations_avx512.c",
+    "four_bar_products.c",
+    "four_bar_products_avx2.c",
+    "four_bar_products_avx512.c",
     "manifest.json",
 ]
 

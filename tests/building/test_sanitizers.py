@@ -355,7 +355,7 @@ int main(int argc, char **argv)
     fb_function functions[FB_N_ROLES];
     memcpy(functions, tested->functions, sizeof functions);
     fb_attach(functions, tested->derivatives);
-    fb_attach(functions, tested->variations);
+    fb_attach(functions, tested->products);
     own.functions = functions;
     const fb_kernel *const k = &own;
     double *const p = doubles(k->n_p), *const x0 = doubles(k->n_x);

@@ -123,12 +123,12 @@ def test_defect_of_a_force_with_values_near_the_initial_state_only_is_found(tmp_
 @pytest.mark.parametrize(
     ("result", "entry", "identity"),
     [
-        ("mass_matrix", 4, "w^T M w = 2 T(w)"),
-        ("forcing", 1, "dT/dt = P + u^T (M u' - f)"),
-        ("acceleration_bias", 1, "d(J u + b)/dt = J u' + gamma"),
-        ("constraint_jacobian", 2, "dPhi/dt = J u + b"),
-        ("energies", 0, "w^T M w = 2 T(w)"),
-        ("power", 0, "dT/dt = P + u^T (M u' - f)"),
+        ("dynamics.mass_matrix", 4, "w^T M w = 2 T(w)"),
+        ("dynamics.forcing", 1, "dT/dt = P + u^T (M u' - f)"),
+        ("velocities.acceleration_bias", 1, "d(J u + b)/dt = J u' + gamma"),
+        ("velocities.jacobian", 2, "dPhi/dt = J u + b"),
+        ("energy.energies", 0, "w^T M w = 2 T(w)"),
+        ("energy.power", 0, "dT/dt = P + u^T (M u' - f)"),
     ],
 )
 def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entry, identity):
@@ -138,10 +138,12 @@ def test_a_wrong_equation_is_found_and_named(tmp_path, monkeypatch, result, entr
 
     def damaged(model):
         equations = original(model)
-        right = getattr(equations, result)
+        part, name = result.split(".")
+        right = getattr(getattr(equations, part), name)
         entries = list(right.entries)
         entries[entry] = entries[entry] * 2 + equations.tape.one
-        return dataclasses.replace(equations, **{result: dataclasses.replace(right, entries=tuple(entries))})
+        wrong = {name: dataclasses.replace(right, entries=tuple(entries))}
+        return dataclasses.replace(equations, **{part: dataclasses.replace(getattr(equations, part), **wrong)})
 
     monkeypatch.setattr(fourbar_codegen.dynamics.formation, "form_equations", damaged)
     with pytest.raises(fb.BuildError, match=re.escape(f"do not satisfy {identity}")):
@@ -280,36 +282,36 @@ def damage_results(monkeypatch, of):
     monkeypatch.setattr(fourbar_codegen.codegen.c_source, text, damaged)
 
 
-@pytest.mark.parametrize("of", ["derivatives", "variations"])
+@pytest.mark.parametrize("of", ["derivatives", "products"])
 def test_defect_of_constraints_derivatives_is_found_where_nothing_has_a_mass(tmp_path, monkeypatch, caplog, of):
     """Accelerations have no value anywhere; kinematics take the constraints' derivatives all the same."""
     points = {"A": (0, 0), "B": (0.1, 0), "C": (0.3, 0.3), "D": (0.4, 0)}
     model = fb.Linkage("massless", points=points, ground="AD", links=["AB", "BC", "CD"]).model()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "right"))
     with caplog.at_level("INFO", "fourbar_codegen"):
-        fb.compile_model(model).require_variations()
+        fb.compile_model(model).require_products()
     assert "derivatives of x' not compared" in caplog.text
     assert {record.levelname for record in caplog.records} == {"INFO"}
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "wrong"))
     damage_results(monkeypatch, of)
     with pytest.raises(fb.BuildError, match=r"d\(J u [+] b\)/dq|constraint violations"):
-        fb.compile_model(model).require_variations()
+        fb.compile_model(model).require_products()
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("of", ["derivatives", "variations"])
+@pytest.mark.parametrize("of", ["derivatives", "products"])
 def test_a_defect_of_derivatives_is_found_where_rounding_is_large(tmp_path, monkeypatch, of):
     damage_results(monkeypatch, of)
     model = light_pendulum(tmp_path, monkeypatch)
     with pytest.raises(fb.BuildError, match="check=False"):
-        model.require_variations()
+        model.require_products()
     # Without the comparison it is used, here and where the model is sent; it is not taken for what was compared.
     unchecked = light_pendulum(tmp_path, monkeypatch, check=False)
     for each in (unchecked, pickle.loads(pickle.dumps(unchecked))):
-        each.require_variations()
-        assert not each.lacks_variations
+        each.require_products()
+        assert not each.lacks_products
     with pytest.raises(fb.BuildError):
-        light_pendulum(tmp_path, monkeypatch).require_variations()
+        light_pendulum(tmp_path, monkeypatch).require_products()
 
 
 @pytest.mark.slow

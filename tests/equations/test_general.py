@@ -254,7 +254,7 @@ def test_derivatives_of_splines_of_states_and_of_time_equal_scipys():
         rate = (x * SPLINE(0.8 * x, 1) - SPLINE(x)) / 2
         force = SPLINE(0.8 * x) - 0.8 * SPLINE(x)
         assert by_parameters == pytest.approx([-force / 4, rate], rel=1e-11)
-        assert compiled.default_input_sensitivity(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
+        assert compiled.default_input_partials(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
 
 
 def test_speed_without_a_coordinate_decays_as_the_closed_form():

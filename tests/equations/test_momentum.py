@@ -94,3 +94,42 @@ def test_angular_momenta_without_positions_and_without_mass_are_nan():
     assert momentum.tolist() == [3.0, 0.0, 0.0]
     assert np.isnan(about_origin).all()
     assert np.isnan(about_centre).all()
+
+
+def test_components_with_parameters_that_nothing_else_needs_are_nan():
+    """SymPy's RigidBody has six symbols of inertia; of a rod that turns about one axis, the motion needs one."""
+    m, g = sm.symbols("m g")
+    q, u = me.dynamicsymbols("q u")
+    wall, rod = me.RigidBody("wall"), me.RigidBody("rod", mass=m)
+    system = System.from_newtonian(wall)
+    system.add_joints(me.PinJoint("pin", wall, rod, q, u, child_point=-0.5 * rod.x, joint_axis=wall.z))
+    system.apply_uniform_gravity(-g * wall.y)
+    pendulum = fb.compile_model(fb.Model(system, name="rod", parameters={m: 2.0, g: 9.81, "rod_izz": 0.1}))
+    momentum, about_origin, about_centre = pendulum.momentum(0.0, [0.0, 3.0])
+    np.testing.assert_allclose(momentum, [0.0, 2.0 * 0.5 * 3.0, 0.0], rtol=1e-15)
+    np.testing.assert_allclose([about_origin[2], about_centre[2]], [(0.1 + 2.0 * 0.25) * 3.0, 0.3], rtol=1e-14)
+    assert np.isnan([about_origin[:2], about_centre[:2]]).all()
+
+
+def test_mass_centre_is_not_known_where_the_mass_of_a_rotor_on_a_fixed_axis_is_not_named():
+    m, mass, inertia = sm.symbols("m M J")
+    q, u = me.dynamicsymbols("x a"), me.dynamicsymbols("v w")
+    ground, turning, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
+    block = origin.locatenew("P", q[0] * ground.x)
+    turning.orient_axis(ground, ground.z, q[1])
+    turning.set_ang_vel(ground, u[1] * ground.z)
+    origin.set_vel(ground, 0)
+    block.set_vel(ground, u[0] * ground.x)
+    system = System(ground, origin)
+    rotor = me.RigidBody("rotor", origin, turning, mass, (me.inertia(turning, 0, 0, inertia), origin))
+    system.add_bodies(me.Particle("block", block, m), rotor)
+    system.q_ind, system.u_ind = q, u
+    system.add_kdes(*(each.diff(me.dynamicsymbols._t) - speed for each, speed in zip(q, u, strict=True)))
+    values = {m: 2.0, inertia: 3.0}
+    momentum, about_origin, about_centre = fb.compile_model(
+        fb.Model(system, name="rotor_and_block", parameters=values)
+    ).momentum(0.0, [1.0, 0.0, 0.5, 4.0])
+    assert (momentum[0], about_origin[2]) == (1.0, 12.0)
+    assert about_centre[2] == 12.0  # r x p is zero: they are parallel
+    named = fb.compile_model(fb.Model(system, name="rotor_and_block", parameters={**values, mass: 5.0}))
+    assert named.momentum(0.0, [1.0, 0.0, 0.5, 4.0])[2].tolist() == [0.0, 0.0, 12.0]

@@ -175,11 +175,11 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "breakpoints", "capsule", "constraint_pullback", "constraint_variation", "default_input_sensitivity",
+    "breakpoints", "capsule", "constraint_vjp", "constraint_jvp", "default_input_partials",
     "defaults_in_force", "described", "evaluate", "evaluate_along", "failure", "find", "from_file",
     "from_loaded", "has_inputs", "held_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives",
-    "lacks_variations", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
-    "require_derivatives", "require_output_derivatives", "require_variations", "title", "too_few_dependent",
+    "lacks_products", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
+    "require_derivatives", "require_output_derivatives", "require_products", "title", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -202,7 +202,7 @@ def calls_of(name: str) -> dict[str, Call]:
     # What these are made of, as it comes.
     for function in (
         "dynamics", "velocity", "constraint_violation", "constraint_scale", "energy", "drawing",
-        "constraint_sensitivity",
+        "constraint_partials",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
     calls.add("jvp", model.jvp, **state, dx=np.ones(model.n_x), dp=np.ones(model.n_p), dr=np.ones(model.n_r), **values)
@@ -220,10 +220,10 @@ def calls_of(name: str) -> dict[str, Call]:
     held = {"accelerations": acceleration, "multipliers": multipliers}
     for function in (
         "outputs_for",
-        "output_sensitivities",
-        "sensitivities",
+        "output_partials",
+        "partials",
         "state_rates_for",
-        "state_rate_sensitivity",
+        "state_rate_partials",
     ):
         calls.add(function, getattr(model, function), **state, **held, **values, may_be_nan=True)
     forces = multipliers[model.n_c :]

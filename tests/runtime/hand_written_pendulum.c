@@ -45,7 +45,7 @@ enum { LENGTH, GRAVITY, MASS, WEIGHT };
 #define FB_FASTER NULL
 
 extern const fb_kernel pendulum_kernel;
-extern const fb_part pendulum_derivatives, pendulum_variations;
+extern const fb_part pendulum_derivatives, pendulum_products;
 extern const fb_batch_functions pendulum_batch_functions;
 
 #ifdef TWICE
@@ -508,7 +508,7 @@ CALL(constraint_jvp, OF_STATE, at->n_directions, arguments[0], results[0], resul
 CALL(residual_vjp, OF_SOLUTION, arguments[0], results[0])
 CALL(constraint_vjp, OF_STATE, arguments[0], results[0])
 
-const fb_part pendulum_variations = {
+const fb_part pendulum_products = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_part),
     .functions =

@@ -124,7 +124,7 @@ def test_sensitivities_of_projected_runs_equal_differences_and_are_tangent(case)
             if name in model.parameters:
                 directions[model.n_x + model.parameters.index(name), k] = 1.0
         size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(x).max())
-        for left in model.constraint_variation(t, x, directions):
+        for left in model.constraint_jvp(t, x, directions):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
@@ -141,7 +141,7 @@ def test_sensitivities_at_samples_at_every_tolerance_are_tangent_to_constraints(
     for place, t in enumerate(run.t):
         directions[: model.n_x] = np.array([run.sensitivity[name][:, place] for name in names]).T
         size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(run.y[:, place]).max())
-        for left in model.constraint_variation(t, run.y[:, place], directions):
+        for left in model.constraint_jvp(t, run.y[:, place], directions):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 

@@ -87,7 +87,7 @@ class Drive:
         along = np.zeros(len(error))
         if len(self.coordinates) < len(self.names):
             at_rest = np.concatenate((q, np.zeros(model.n_x - n_q)))
-            by_inputs = model.constraint_sensitivity(self.t, at_rest, self.p, r)[1]
+            by_inputs = model.constraint_partials(self.t, at_rest, self.p, r)[1]
             for name, rate in zip(self.names, slope, strict=True):
                 if name in model.inputs:
                     along += by_inputs[:, model.inputs.index(name)] * rate

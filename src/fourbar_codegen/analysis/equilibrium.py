@@ -86,7 +86,7 @@ def equilibrium(
         constraints = np.vstack(
             (
                 model.position(t, x[:n_q], p, r)[1] / size[:, np.newaxis],
-                model.constraint_sensitivity(t, x, p, r)[0],
+                model.constraint_partials(t, x, p, r)[0],
             )
         )
         constraints = np.hstack((constraints, np.zeros((len(constraints), model.n_z))))

@@ -511,7 +511,7 @@ def _equations(at: _Instant, accelerations: Floats, rows: list[int], unknown: Fl
     effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, at.p, r)
     by_reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
     known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ accelerations
-    derivatives = model.sensitivities(t, x, accelerations, unknown[k:], at.p, r)[1::2]
+    derivatives = model.partials(t, x, accelerations, unknown[k:], at.p, r)[1::2]
     by_data = np.hstack(derivatives)[[*range(n_u), *range(n_u + n_c, n_u + model.n_l)]]
     by_inputs = by_data[:, by_data.shape[1] - model.n_r :][:, rows]
     data = np.abs(np.concatenate((x, parameter_array(model, at.p), r)))

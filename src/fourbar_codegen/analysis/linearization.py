@@ -59,7 +59,7 @@ def linearize(
     require_closed(model, t, state, p, r)
     # Phi_q dq + Phi_r dr = 0 and J du + d(J u + b)/dq dq + d(J u + b)/dr dr = 0 give all coordinates and speeds in
     # terms of the independent ones and the inputs. Each array has a column for each entry of dq_i, du_i, dz and dr.
-    velocity_by_q, position_by_r, velocity_by_r = model.constraint_sensitivity(t, state, p, r)
+    velocity_by_q, position_by_r, velocity_by_r = model.constraint_partials(t, state, p, r)
     position_by_q = model.position(t, state[:n_q], p, r)[1]
     n_i = n_qi + n_ui + n_z
     free = np.eye(n_i + n_r)

@@ -33,7 +33,7 @@ __all__ = ["LATER", "PARTS", "SUFFIXES", "build_part", "install", "numbers_path"
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
     "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
-    "variations": (("_variations.c", "_kernel.h"), DERIVATIVES_FLAGS),
+    "products": (("_products.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), KERNEL_FLAGS),
 }
 """The sources of each part by their suffixes, first the one to compile, and the flags."""
@@ -68,7 +68,7 @@ def build_part(
     ----------
     name : str
         The model's.
-    part : {"kernel", "derivatives", "variations", "batch_functions"}
+    part : {"kernel", "derivatives", "products", "batch_functions"}
     sources : mapping of str to str
         Text by file name.
     structure : mapping, optional
@@ -80,7 +80,7 @@ def build_part(
     -------
     Path
         A shared library with the part's table: ``{name}_kernel`` (and ``fourbar_library``, if a structure is given),
-        ``{name}_derivatives``, ``{name}_variations``, ``{name}_batch_functions``.
+        ``{name}_derivatives``, ``{name}_products``, ``{name}_batch_functions``.
 
     Raises
     ------

@@ -105,7 +105,7 @@ _X86 = platform.machine() in {"x86_64", "AMD64"}
 _AVX2 = ("-mavx2", "-mfma") if _X86 else ()
 _AVX512 = (*_AVX2, "-mavx512f", "-mavx512dq", "-mavx512vl") if _X86 else ()
 _VERSIONS = {"": (), "_avx2": _AVX2, "_avx512": _AVX512}
-_IN_VERSIONS = {"_kernel": KERNEL_FLAGS, "_batch": KERNEL_FLAGS, "_variations": DERIVATIVES_FLAGS}
+_IN_VERSIONS = {"_kernel": KERNEL_FLAGS, "_batch": KERNEL_FLAGS, "_products": DERIVATIVES_FLAGS}
 UNITS = {
     **{f"{p}{v}.c": (*flags, *more) for p, flags in _IN_VERSIONS.items() for v, more in _VERSIONS.items()},
     "_derivatives.c": DERIVATIVES_FLAGS,

@@ -37,7 +37,7 @@ setup(
 WHEEL_INIT = '''\
 """Compiled equations of motion of the model "{name}": ``fourbar_codegen.load({name!r})``, or `rhs` with NumPy alone."""
 
-from {name}.{name} import kernel, layout, rhs
+from {name}.{name} import kernel, manifest, rhs
 
 __all__ = ["kernel", "manifest", "rhs"]
 '''

@@ -468,7 +468,11 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
     multiple=True,
     help="Another kind of machine that an FMU has a binary for, such as x86_64-windows; by zig. Repeatable.",
 )
-@click.option("--quantity", multiple=True, help="A vector that an FMU has as outputs, such as momentum. Repeatable.")
+@click.option(
+    "--quantity",
+    multiple=True,
+    help="A vector that an FMU has as outputs: momentum, angular_momentum, spin. Repeatable.",
+)
 def export(
     model: str, form: str, output: Path, fmi: str | None, platform: tuple[str, ...], quantity: tuple[str, ...]
 ) -> None:

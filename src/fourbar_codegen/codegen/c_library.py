@@ -168,6 +168,7 @@ def _check_name(name: str, texts: Mapping[str, str], runtime: Mapping[str, str])
     The texts have the model's structure, but not the type of that name, so that their functions may have it, too.
     """
     code = re.sub(r"/\*.*?\*/", "", "\n".join((*texts.values(), *runtime.values())), flags=re.DOTALL)
+    code = re.sub(r'"[^"\n]*"', '""', code)
     macros = set(re.findall(r"^ *# *define +(\w+)", code, flags=re.MULTILINE))
     tags = set(re.findall(r"\b(?:struct|union|enum) +(\w+)", "\n".join(runtime.values())))
     declared = " ".join(re.findall(r"^(?:static|typedef|\})([^(\n]*)", code, flags=re.MULTILINE))
@@ -384,7 +385,9 @@ def _declared_quantities(name: str) -> str:
     text = ""
     for role, quantities in QUANTITIES.items():
         words = "; ".join(f"{quantity.description}, {quantity.unit}" for quantity in quantities)
-        comment = textwrap.wrap(f"{words}. Three values each, along the axes of the inertial frame.", 100)
+        comment = textwrap.wrap(
+            f"{words}. Three values each, along the axes of the inertial frame; not a number if not known.", 100
+        )
         text += f"/* {(chr(10) + ' * ').join([comment[0][0].upper() + comment[0][1:], *comment[1:]])} */\n"
         text += f"{_head_of(name, role)};\n"
     return text

@@ -119,9 +119,10 @@ def form_equations(model: Model) -> Equations:
     moving = [*closing, energy.energies.entries[0], *drawing.points.entries]
     others = [*dynamics.residual.entries, *dynamics.coordinate_rates.entries]
     entry_of, inputs = _inputs(m, solved.convert, entries, closing, moving, others)
+    variables = _variables(m, solved, tuple(entry_of), [*entries, *inputs.default.entries])
     return Equations(
         tape=m.tape,
-        variables=_variables(m, solved, tuple(entry_of), [*entries, *inputs.default.entries]),
+        variables=variables,
         inputs=inputs,
         dynamics=dynamics,
         driving_forces=driving_forces,
@@ -129,7 +130,7 @@ def form_equations(model: Model) -> Equations:
         velocities=velocities,
         outputs=outputs,
         energy=energy,
-        quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture)},
+        quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture, variables)},
         drawing=drawing,
         warnings=warnings,
     )

@@ -6,16 +6,16 @@ Goldstein, *Classical Mechanics*, 2nd ed. 1980, section 1.2 (about the mass cent
 
 from __future__ import annotations
 
-from fourbar_codegen.dynamics.equations import vector
+from fourbar_codegen.dynamics.equations import Variables, vector
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, add, cross, negative, scale
 from fourbar_codegen.dynamics.picture import Picture
-from fourbar_codegen.expressions.tape import Result
+from fourbar_codegen.expressions.tape import Leaf, Node, Result, Scalar
 
 __all__ = ["form_momenta"]
 
 
-def form_momenta(kane: Kane, picture: Picture) -> tuple[Result, Result, Result]:
+def form_momenta(kane: Kane, picture: Picture, variables: Variables) -> tuple[Result, Result, Result]:
     """The momenta of the bodies that move, in the inertial frame.
 
     Parameters
@@ -23,20 +23,22 @@ def form_momenta(kane: Kane, picture: Picture) -> tuple[Result, Result, Result]:
     kane : Kane
     picture : Picture
         With the positions of mass centres.
+    variables : Variables
 
     Returns
     -------
     tuple of Result
         p = sum m v_C; L_O = sum (r_C x m v_C + I_C w) about the fixed point; L_C = L_O - r x p about the mass centre
-        r = sum m r_C / sum m. L_O and L_C are NaN if the position of a mass centre is not known.
+        r = sum m r_C / sum m. L_O and L_C are NaN if the position of a mass centre is not known, and components that
+        contain other parameters or inputs than `variables`: nobody has asked for values of these.
     """
     kinematics, tape = kane.kinematics, kane.tape
     places = {point.number: place for place, point in enumerate(picture.points) if point.number is not None}
     linear, angular, moments = kinematics.zero, kinematics.zero, kinematics.zero
     total, is_known = tape.zero, True
-    for body, mass, spin in kane.bodies():
+    for body, mass, of_body in kane.bodies():
         velocity = kinematics.express(kinematics.velocity(body.point), INERTIAL)
-        own = kinematics.express(spin, INERTIAL)
+        own = kinematics.express(of_body, INERTIAL)
         if not any((*velocity, *own)):  # fixed to the ground
             continue
         momentum = scale(mass, velocity)
@@ -44,11 +46,24 @@ def form_momenta(kane: Kane, picture: Picture) -> tuple[Result, Result, Result]:
         if body.point in places:
             position = picture.positions[places[body.point]]
             angular, moments = add(angular, cross(position, momentum)), add(moments, scale(mass, position))
-        else:
+        elif mass:
             is_known = False
     nan: Components = (tape.number(float("nan")),) * 3
     about_centre = nan
     if is_known and total:
         about_centre = add(angular, negative(cross(scale(tape.one / total, moments), linear)))
     about_origin = angular if is_known else nan
-    return vector("momentum", linear), vector("angular_momentum", about_origin), vector("spin", about_centre)
+    known = {leaf.node for leaf in (*variables.parameters, *variables.inputs)}
+    vectors = {"momentum": linear, "angular_momentum": about_origin, "spin": about_centre}
+    reached = tape.reach(entry for entries in vectors.values() for entry in entries)
+    left_out = [Scalar(tape, 1, n) for n in reached if n not in known and _is_argument(tape.nodes[n])]
+    p, about_fixed_point, about_mass_centre = (
+        vector(name, [nan[0] if tape.depends([entry], left_out) else entry for entry in entries])
+        for name, entries in vectors.items()
+    )
+    return p, about_fixed_point, about_mass_centre
+
+
+def _is_argument(node: Node) -> bool:
+    """Whether a node is a parameter or an input."""
+    return isinstance(node, Leaf) and node.kind in ("p", "r")

@@ -18,7 +18,7 @@ from fourbar_codegen.errors import BuildError, SimulationError
 from fourbar_codegen.runtime.batch import Batch, width
 from fourbar_codegen.runtime.functions import Functions
 
-__all__ = ["compare_batch_functions", "compare_derivatives", "compare_variations"]
+__all__ = ["compare_batch_functions", "compare_derivatives", "compare_products"]
 
 Floats = NDArray[np.float64]
 Function = Callable[..., Floats]
@@ -78,20 +78,20 @@ def compare_derivatives(model: Functions) -> None:
     _compare(model, "derivatives of x'", _compare_derivatives_at)
 
 
-def compare_variations(model: Functions) -> None:
+def compare_products(model: Functions) -> None:
     """Compare products of derivatives with random vectors: with matrices, differences, and reverse with forward mode.
 
     Parameters
     ----------
     model : Functions
-        With derivatives and variations attached.
+        With derivatives and their products attached.
 
     Raises
     ------
     BuildError
         If one differs.
     """
-    _compare(model, "products of derivatives of x' with vectors", _compare_variations_at)
+    _compare(model, "products of derivatives of x' with vectors", _compare_products_at)
 
 
 def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats, Floats, Floats], None]) -> None:
@@ -116,7 +116,7 @@ def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats
         logging.getLogger("fourbar_codegen").log(level, message, model.layout.name, what, attempts)
 
 
-def _compare_variations_at(model: Functions, t: float, x: Floats, p: Floats, r: Floats) -> None:
+def _compare_products_at(model: Functions, t: float, x: Floats, p: Floats, r: Floats) -> None:
     generator = np.random.default_rng(0)
     sizes = (model.n_x, model.n_p, model.n_r)
     dx, dp, dr = (generator.uniform(-1.0, 1.0, size) for size in sizes)
@@ -126,8 +126,8 @@ def _compare_variations_at(model: Functions, t: float, x: Floats, p: Floats, r: 
 
     # What is compared, the result, the expected one, and the terms of both.
     def of_constraints(x: Floats, p: Floats, r: Floats) -> Products:
-        changes = np.concatenate(model.constraint_variation(t, x, along[:, np.newaxis], p, r))[:, 0]
-        pulled = model.constraint_pullback(t, x, v, p, r)[: model.n_x + model.n_p]
+        changes = np.concatenate(model.constraint_jvp(t, x, along[:, np.newaxis], p, r))[:, 0]
+        pulled = model.constraint_vjp(t, x, v, p, r)[: model.n_x + model.n_p]
         return [
             ("constraint violations along a direction", changes, changes, changes),
             ("gradient of constraint violations", np.atleast_1d(pulled @ along), np.atleast_1d(v @ changes), changes),
@@ -178,7 +178,7 @@ def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r:
     def at(q: Floats) -> Floats:
         return np.concatenate((q, x[n_q:]))
 
-    of_constraints, of_inputs = model.constraint_sensitivity, model.default_input_sensitivity
+    of_constraints, of_inputs = model.constraint_partials, model.default_input_partials
     pairs: list[tuple[str, Function, Function, Floats]] = [  # first what needs no solution of the equations
         ("d(J u + b)/dq", lambda *a: of_constraints(t, *a)[0], lambda q: velocities(at(q), r), x[:n_q]),
         ("d(J u + b)/dr", lambda *a: of_constraints(t, *a)[2], lambda r: velocities(x, r), r),

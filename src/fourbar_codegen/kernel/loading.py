@@ -336,7 +336,7 @@ def generated(name: str, part: str, later: bytes) -> dict[str, str]:
     ----------
     name : str
         The model's.
-    part : {"derivatives", "variations"}
+    part : {"derivatives", "products"}
     later : bytes
         A pickled function, which takes the part to the text. It comes with the model's library, which can run any code.
 
@@ -420,10 +420,10 @@ def _installed(name: str, fingerprint: str | None = None) -> Path | None:
     spec = machinery.PathFinder.find_spec(name, [place for place in sys.path if not _is_current(place)])
     for folder in map(Path, (spec and spec.submodule_search_locations) or ()):
         try:
-            layout = Layout.from_text((folder / "manifest.json").read_text(encoding="utf-8"))
+            own_name, own = Layout.identity((folder / "manifest.json").read_text(encoding="utf-8"))
         except (OSError, ValueError, TypeError, KeyError, RecursionError):  # a package, but no model
             continue
-        if layout.name == name and fingerprint in (None, layout.fingerprint):
+        if own_name == name and fingerprint in (None, own):
             modules = (folder / f"{name}{suffix}" for suffix in machinery.EXTENSION_SUFFIXES)
             return next((module for module in modules if module.is_file()), None)
     return None

@@ -103,7 +103,7 @@ class Directions:
         if any(mask % (1 << model.n_p) for mask in masks):  # expressions of parameters
             of_parameters, given = self.matrix[model.n_x :], input_sources(model, inputs)
             for place, t in enumerate(times):
-                found[..., place] = model.default_input_sensitivity(t, p) @ of_parameters
+                found[..., place] = model.default_input_partials(t, p) @ of_parameters
             found[[source is not None for source in given]] = 0.0
         if any(changes is not None for changes in self.sources):
             for row, (source, changes) in enumerate(zip(input_sources(model, inputs), self.sources, strict=True)):

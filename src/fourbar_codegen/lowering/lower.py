@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
 from fourbar_codegen.dynamics.equations import Equations, results_of
+from fourbar_codegen.dynamics.products import Products
 from fourbar_codegen.dynamics.recursion import Recursion
-from fourbar_codegen.dynamics.variations import Variations
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
@@ -40,7 +40,7 @@ from fourbar_codegen.lowering.program import (
 )
 from fourbar_codegen.roles import Needs, Role
 
-__all__ = ["lower", "lower_derivatives", "lower_variations"]
+__all__ = ["lower", "lower_derivatives", "lower_products"]
 
 REGULAR = 1e-9
 """Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
@@ -250,7 +250,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     return drafts.functions(program.constants)
 
 
-def lower_variations(program: Program, equations: Equations, variations: Variations) -> tuple[Function, ...]:
+def lower_products(program: Program, equations: Equations, products: Products) -> tuple[Function, ...]:
     """Lower products of derivatives with vectors, which derivatives of simulations need.
 
     Parameters and result are as for `lower_derivatives`.
@@ -258,15 +258,15 @@ def lower_variations(program: Program, equations: Equations, variations: Variati
     Examples
     --------
     >>> from fourbar_codegen.dynamics.formation import form_equations
-    >>> from fourbar_codegen.dynamics.variations import form_variations
+    >>> from fourbar_codegen.dynamics.products import form_products
     >>> from fourbar_codegen.models import four_bar
     >>> equations = form_equations(four_bar())
-    >>> functions = lower_variations(lower("four_bar", equations), equations, form_variations(equations))
+    >>> functions = lower_products(lower("four_bar", equations), equations, form_products(equations))
     >>> [f.name for f in functions][:2]
     ['residual_jvp', 'constraint_jvp']
     """
-    v = variations.variation
-    pulled, closed = variations.pullback, variations.constraint_pullback
+    v = products.jvp
+    pulled, closed = products.residual_vjp, products.constraint_vjp
     drafts = _Drafts(equations, {ONE, *program.constants.nodes}.__contains__)
     direction = _array("direction", v.direction)
     drafts.add_jvp(Role.RESIDUAL_JVP, [v.coordinate_rates, v.residual], direction)

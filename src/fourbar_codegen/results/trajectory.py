@@ -151,7 +151,7 @@ class Trajectory:
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
 
     def _ipython_key_completions_(self) -> list[str]:
-        return list(dict.fromkeys((*self.columns(), *self.model.points)))
+        return list(dict.fromkeys((*self.columns(), *self.model.points, *self._quantities)))
 
     @cached_property
     def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -200,7 +200,7 @@ class Trajectory:
     def velocities(self) -> dict[str, Floats]:
         """Velocities of the mechanism's points over time, by name, m/s, each of shape (3, n_t).
 
-        In the System's frame; NaN at singular positions, where accelerations are not determined.
+        In the System's frame. NaN at singular positions: they are evaluated together with accelerations.
         """
         return dict(zip(self.model.points, self._motion[0], strict=False))
 
@@ -427,9 +427,9 @@ class Trajectory:
         -------
         xarray.Dataset
             Over ``time`` (s) a variable for each coordinate, speed, input and output; residuals, multipliers, energies
-            (J), positions of points (m) and forces that depend on inputs (N). The attributes contain the information to
-            repeat the run: model and fingerprint, parameters, settings and versions, the latter three as JSON; and how
-            the run ended.
+            (J), momenta, positions of points (m) and forces that depend on inputs (N). The attributes contain the
+            information to repeat the run: model and fingerprint, parameters, settings and versions, the latter three as
+            JSON; and how the run ended.
 
         Raises
         ------

@@ -78,7 +78,7 @@ cdef extern from "fourbar_kernel.h":
         int (*orientation_changed)(void *) noexcept nogil
         const fb_function *functions
         const fb_part *derivatives
-        const fb_part *variations
+        const fb_part *products
         const fb_batch_functions *batch_functions
         int batch_functions_apart
         int one_machine

@@ -240,7 +240,7 @@ cdef class Evaluator:
         self.own.functions = self.functions
         self.kernel = &self.own
         self.capsule, self.layout = capsule, layout
-        for part in (<size_t>kernel.derivatives, <size_t>kernel.variations):
+        for part in (<size_t>kernel.derivatives, <size_t>kernel.products):
             if part:
                 self._attach(part)
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
@@ -277,7 +277,7 @@ cdef class Evaluator:
         return self.functions[FB_STATE_PARTIALS].call == NULL
 
     @property
-    def lacks_variations(self):
+    def lacks_products(self):
         """Whether products of derivatives with vectors are in a library that is not attached yet."""
         return self.functions[FB_RESIDUAL_JVP].call == NULL
 
@@ -324,7 +324,7 @@ cdef class Evaluator:
         """Attach the parts that another evaluator of the same kernel has."""
         memcpy(self.functions, other.functions, FB_N_ROLES * sizeof(fb_function))
 
-    def require_variations(self):
+    def require_products(self):
         """Attach the products of derivatives with vectors; a subclass that has their sources builds them."""
         raise ModelError("The products of derivatives with vectors are in a library of their own: attach it.")
 
@@ -334,7 +334,7 @@ cdef class Evaluator:
             if role < FB_RESIDUAL_JVP:
                 self.require_derivatives()
             else:
-                self.require_variations()
+                self.require_products()
             if self.functions[role].call == NULL:
                 raise ModelError(f"The compiled model {self.layout.name} has no function of the role {role}.")
         return self.functions + role
@@ -972,7 +972,7 @@ cdef class Evaluator:
             raise SimulationError(self.failure(status, t, x))
         return accelerations, multipliers
 
-    def constraint_variation(self, t, x, directions, p=None, r=None):
+    def constraint_jvp(self, t, x, directions, p=None, r=None):
         """The derivatives of the constraint violations along directions of (x, p, r), shape (n_x + n_p + n_r, n).
 
         Two arrays, of shapes (n_c + n_i, n) and (n_c, n). Without rows of r, inputs whose expressions are in force

@@ -9,7 +9,7 @@
 enum FB_VARIABLES { FB_BY_STATE = 0, FB_BY_PARAMETERS = 1, FB_BY_INPUTS = 2 };
 
 typedef struct fb_jacobians {
-    const fb_kernel *kernel; /* with derivatives, and with variations for the residual */
+    const fb_kernel *kernel; /* with derivatives, and with their products for the residual */
     long n;
     fb_columns t, x, p, r;             /* as in fb_batch */
     fb_columns rates, multipliers;     /* (n_x, n), (n_l, n), for the residual */

@@ -162,7 +162,7 @@ typedef struct fb_kernel {
     int (*orientation_changed)(void *work);
     const fb_function *functions;              /* FB_N_ROLES */
     const fb_part *derivatives;                /* or NULL, if they are in a library of their own; ... */
-    const fb_part *variations;                 /* ... likewise */
+    const fb_part *products;                   /* ... likewise */
     const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
     int one_machine;                /* whether it was compiled for the processor of one machine; else it is portable */

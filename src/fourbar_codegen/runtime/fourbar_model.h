@@ -43,7 +43,7 @@ typedef struct fb_work {
     double multipliers[FB_AT_LEAST_1(N_L)];
     double residual_jacobian[(N_U + N_L + N_Z) * N_COLUMNS];
 #ifndef FB_LIBRARY
-    double residual_variation[(N_U + N_L + N_Z) * FB_DIRECTIONS], gradient[N_X + N_P + N_R];
+    double residual_tangent[(N_U + N_L + N_Z) * FB_DIRECTIONS], gradient[N_X + N_P + N_R];
 #endif
 #if N_Z > 0
     double state_rate_acceleration_jacobian[N_Z * N_U], state_rate_multiplier_jacobian[FB_AT_LEAST_1(N_Z * N_L)];
@@ -466,13 +466,13 @@ static int jvp(const fb_function *functions, double t, const double *x, const do
 #endif
     }
     const fb_at at = {t, x, constants, r, w->accelerations, w->multipliers, n};
-    double *const products[] = {rates, w->residual_variation};
+    double *const products[] = {rates, w->residual_tangent};
     functions[FB_RESIDUAL_JVP].call(&at, &directions, products, work);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE) && N_Z + N_N == 0
-    fb_solve_directions(n, w->residual_variation, &w->factors, rates + N_Q * n);
+    fb_solve_directions(n, w->residual_tangent, &w->factors, rates + N_Q * n);
     return all_finite(rates, N_X * n);
 #else
-    return solve_columns(functions, n, t, x, constants, r, w->residual_variation, rates, NULL, w);
+    return solve_columns(functions, n, t, x, constants, r, w->residual_tangent, rates, NULL, w);
 #endif
 }
 
@@ -703,7 +703,7 @@ const fb_kernel FB_TABLE(kernel) = {
 #endif
 #else
     .derivatives = &FB_DERIVATIVES,
-    .variations = &FB_TABLE(variations),
+    .products = &FB_TABLE(products),
 #ifdef FB_HAS_BATCH_FUNCTIONS
     .batch_functions = &FB_TABLE(batch_functions),
     .instructions = FB_INSTRUCTIONS,

@@ -31,7 +31,7 @@ class Functions(Evaluator):
         """The inputs' expressions at one time, shape (n_r,); NaN for inputs without one."""
         return self.evaluate(Role.DEFAULT_INPUTS, t, None, p)[0]
 
-    def default_input_sensitivity(self, t: float, p: Values | None = None) -> Floats:
+    def default_input_partials(self, t: float, p: Values | None = None) -> Floats:
         """The derivatives of the inputs' expressions with respect to parameters, shape (n_r, n_p); 0 without one."""
         return self.evaluate(Role.DEFAULT_INPUT_PARTIALS, t, None, p)[0]
 
@@ -83,14 +83,14 @@ class Functions(Evaluator):
         """The change of the coordinates, shape (n_q,), that corrects invariants (constraints that no speed changes)."""
         return self.evaluate(Role.INVARIANT_CORRECTION, t, q, p, r)[0]
 
-    def constraint_sensitivity(
+    def constraint_partials(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
         by_coordinates, positions, velocities = self.evaluate(Role.CONSTRAINT_PARTIALS, t, x, p, r)
         return by_coordinates, positions, velocities
 
-    def constraint_pullback(
+    def constraint_vjp(
         self, t: float, x: ArrayLike, weights: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> Floats:
         """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.
@@ -175,7 +175,7 @@ class Functions(Evaluator):
         """z', shape (n_z,), for given u' and lambda."""
         return self.evaluate(Role.STATE_RATES, t, x, p, r, accelerations, multipliers)[0]
 
-    def state_rate_sensitivity(
+    def state_rate_partials(
         self,
         t: float,
         x: ArrayLike,
@@ -190,7 +190,7 @@ class Functions(Evaluator):
         )
         return by_accelerations, by_multipliers
 
-    def sensitivities(
+    def partials(
         self,
         t: float,
         x: ArrayLike,
@@ -206,7 +206,7 @@ class Functions(Evaluator):
         roles = (Role.STATE_PARTIALS, Role.PARAMETER_PARTIALS, Role.INPUT_PARTIALS)
         return [part for role in roles for part in self.evaluate(role, t, x, p, r, accelerations, multipliers)]
 
-    def output_sensitivities(
+    def output_partials(
         self,
         t: float,
         x: ArrayLike,

@@ -319,7 +319,7 @@ class _Prescribed:
 
         def value(t: float) -> Floats:
             intervals = [table.interval(t) for table in tables]
-            return np.append(self.model.default_input_sensitivity(t, self.p), intervals)
+            return np.append(self.model.default_input_partials(t, self.p), intervals)
 
         size = np.abs(value(before)) + np.abs(value(after))
         return value, _jumped(value, size, before, after)

@@ -172,8 +172,8 @@ static void residual_jvp_factors(double t, const double *restrict x, const doubl
 
 /* The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held. */
 static void residual_jvp_columns(const double *restrict constants, const double *restrict factors,
-    const fb_many *restrict direction, fb_many *restrict coordinate_rate_variation,
-    fb_many *restrict residual_variation)
+    const fb_many *restrict direction, fb_many *restrict coordinate_rate_tangent,
+    fb_many *restrict residual_tangent)
 {
     const double factor2 = factors[2];
     const fb_many d_0 = direction[0];
@@ -285,12 +285,12 @@ static void residual_jvp_columns(const double *restrict constants, const double 
     const double factor60 = factors[60];
     const double factor61 = factors[61];
     const fb_many z37 = factor59*z20 - factor60*z21 - d_10*factor61;
-    residual_variation[2] = -(z34 + z37);
+    residual_tangent[2] = -(z34 + z37);
     const double factor56 = factors[56];
     const double factor57 = factors[57];
     const double factor58 = factors[58];
     const fb_many z38 = z36 + (factor56*z10 + factor57*z11 - d_9*factor58 + z37);
-    residual_variation[1] = -z38;
+    residual_tangent[1] = -z38;
     const double factor1 = factors[1];
     const double factor0 = factors[0];
     const double k_ = constants[5];
@@ -306,7 +306,7 @@ static void residual_jvp_columns(const double *restrict constants, const double 
     const double factor8 = factors[8];
     const fb_many z39 = c*d_4 + factor0*d_12 + k_*d_1 + factor1*d_11 + factor3*z0 + factor5*z1 - d_8*factor6 +
         factor9*(factor7*d_6 + rho*d_8*factor8) + (1.0/2.0)*(factor10*d_8 + l2*z32) + z38;
-    residual_variation[0] = -z39;
+    residual_tangent[0] = -z39;
     const double factor65 = factors[65];
     const fb_many z40 = factor65*z15 + factor29*(factor30*z15 - factor29*z20) - factor31*z21;
     const double factor66 = factors[66];
@@ -317,7 +317,7 @@ static void residual_jvp_columns(const double *restrict constants, const double 
     const double factor63 = factors[63];
     const double factor62 = factors[62];
     const fb_many z43 = factor62*d_10 + factor63*d_9 + factor64*d_8 + l4*z40 + l3*z41 + l2*z42;
-    residual_variation[3] = z43;
+    residual_tangent[3] = z43;
     const double factor71 = factors[71];
     const fb_many z44 = factor71*z15 + factor29*(factor32*z15 - factor29*z21) + factor31*z20;
     const double factor72 = factors[72];
@@ -328,22 +328,22 @@ static void residual_jvp_columns(const double *restrict constants, const double 
     const double factor69 = factors[69];
     const double factor68 = factors[68];
     const fb_many z47 = factor68*d_10 + factor69*d_9 + factor70*d_8 + l4*z44 + l3*z45 + l2*z46;
-    coordinate_rate_variation[0] = d_3;
-    coordinate_rate_variation[1] = d_4;
-    coordinate_rate_variation[2] = d_5;
-    residual_variation[4] = z47;
+    coordinate_rate_tangent[0] = d_3;
+    coordinate_rate_tangent[1] = d_4;
+    coordinate_rate_tangent[2] = d_5;
+    residual_tangent[4] = z47;
 }
 
 static void residual_jvp(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, const double *restrict accelerations, const double *restrict multipliers, int n,
-    const double *restrict directions, double *restrict coordinate_rate_variation,
-    double *restrict residual_variation)
+    const double *restrict directions, double *restrict coordinate_rate_tangent,
+    double *restrict residual_tangent)
 {
     double factors[74];
-    fb_many direction[15], of_coordinate_rate_variation[3], of_residual_variation[5];
+    fb_many direction[15], of_coordinate_rate_tangent[3], of_residual_tangent[5];
     residual_jvp_factors(t, x, constants, r, accelerations, multipliers, factors);
     fb_apply_columns(residual_jvp_columns, constants, factors, 15, direction, n, directions, 3,
-        of_coordinate_rate_variation, 5, of_residual_variation, coordinate_rate_variation, residual_variation);
+        of_coordinate_rate_tangent, 5, of_residual_tangent, coordinate_rate_tangent, residual_tangent);
 }
 
 /* The JVP of constraint_violation along directions of (x, p, r). */
@@ -395,8 +395,7 @@ static void constraint_jvp_factors(double t, const double *restrict x, const dou
 
 /* The JVP of constraint_violation along directions of (x, p, r). */
 static void constraint_jvp_columns(const double *restrict constants, const double *restrict factors,
-    const fb_many *restrict direction, fb_many *restrict position_variation,
-    fb_many *restrict velocity_variation)
+    const fb_many *restrict direction, fb_many *restrict position_tangent, fb_many *restrict velocity_tangent)
 {
     const double factor3 = factors[3];
     const fb_many d_0 = direction[0];
@@ -427,11 +426,11 @@ static void constraint_jvp_columns(const double *restrict constants, const doubl
     const fb_many d_9 = direction[9];
     const fb_many d_10 = direction[10];
     const fb_many z9 = d_7 + factor0*d_10 + factor1*d_9 + factor2*d_8 - l2*z0 - l4*z8 - l3*z6;
-    position_variation[0] = z9;
+    position_tangent[0] = z9;
     const fb_many z10 = factor6*z1 - factor1*z2 - factor5*z7 + factor4*z6;
     const double factor9 = factors[9];
     const fb_many z11 = factor9*d_10 + factor6*d_9 + factor3*d_8 + l2*z4 - l4*z10 + l3*z7;
-    position_variation[1] = z11;
+    position_tangent[1] = z11;
     const fb_many d_3 = direction[3];
     const fb_many d_4 = direction[4];
     const fb_many z12 = d_3 + d_4;
@@ -445,24 +444,24 @@ static void constraint_jvp_columns(const double *restrict constants, const doubl
     const double factor10 = factors[10];
     const fb_many z14 = factor10*d_10 + factor11*d_9 + factor12*d_8 + l2*(factor3*d_3 + factor13*z4) +
         l4*(factor9*z13 - factor14*z10) + l3*(factor6*z12 + factor15*z7);
-    velocity_variation[0] = -z14;
+    velocity_tangent[0] = -z14;
     const double factor18 = factors[18];
     const double factor17 = factors[17];
     const double factor16 = factors[16];
     const fb_many z15 = factor16*d_10 + factor17*d_9 + factor18*d_8 + l2*(factor2*d_3 - factor13*z0) +
         l4*(factor0*z13 - factor14*z8) + l3*(factor1*z12 - factor15*z6);
-    velocity_variation[1] = z15;
+    velocity_tangent[1] = z15;
 }
 
 static void constraint_jvp(double t, const double *restrict x, const double *restrict constants,
-    const double *restrict r, int n, const double *restrict directions, double *restrict position_variation,
-    double *restrict velocity_variation)
+    const double *restrict r, int n, const double *restrict directions, double *restrict position_tangent,
+    double *restrict velocity_tangent)
 {
     double factors[19];
-    fb_many direction[15], of_position_variation[2], of_velocity_variation[2];
+    fb_many direction[15], of_position_tangent[2], of_velocity_tangent[2];
     constraint_jvp_factors(t, x, constants, r, factors);
     fb_apply_columns(constraint_jvp_columns, constants, factors, 15, direction, n, directions, 2,
-        of_position_variation, 2, of_velocity_variation, position_variation, velocity_variation);
+        of_position_tangent, 2, of_velocity_tangent, position_tangent, velocity_tangent);
 }
 
 /* The gradient with respect to (x, p, r) of weights times q' and the residual. */
@@ -711,7 +710,7 @@ static void constraint_vjp(double t, const double *restrict x, const double *res
 }
 
 static const fb_array residual_jvp_arguments[] = {{"directions", 15, 8}};
-static const fb_array residual_jvp_results[] = {{"coordinate_rate_variation", 3, 8}, {"residual_variation", 5,
+static const fb_array residual_jvp_results[] = {{"coordinate_rate_tangent", 3, 8}, {"residual_tangent", 5,
     8}};
 static int call_residual_jvp(const fb_at *at, const double *const *arguments, double *const *results,
     void *work)
@@ -723,7 +722,7 @@ static int call_residual_jvp(const fb_at *at, const double *const *arguments, do
 }
 
 static const fb_array constraint_jvp_arguments[] = {{"directions", 15, 8}};
-static const fb_array constraint_jvp_results[] = {{"position_variation", 2, 8}, {"velocity_variation", 2, 8}};
+static const fb_array constraint_jvp_results[] = {{"position_tangent", 2, 8}, {"velocity_tangent", 2, 8}};
 static int call_constraint_jvp(const fb_at *at, const double *const *arguments, double *const *results,
     void *work)
 {
@@ -754,7 +753,7 @@ static int call_constraint_vjp(const fb_at *at, const double *const *arguments, 
     return FB_OK;
 }
 
-const fb_part FB_TABLE(variations) = {
+const fb_part FB_TABLE(products) = {
     .abi_version = FB_ABI_VERSION,
     .struct_size = sizeof(fb_part),
     .functions = {

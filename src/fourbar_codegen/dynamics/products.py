@@ -1,4 +1,4 @@
-"""Equations -> Variations: products of derivatives with directions and with weights, for derivatives of simulations.
+"""Equations -> Products: products of derivatives with directions and with weights, for derivatives of simulations.
 
 A direction, or the gradient that weights give, is in the space of states, parameters and inputs together.
 """
@@ -12,11 +12,11 @@ from fourbar_codegen.dynamics.equations import Equations, vector
 from fourbar_codegen.expressions.derivatives import Jvp, vjp
 from fourbar_codegen.expressions.tape import Result, Scalar
 
-__all__ = ["Pullback", "Variation", "Variations", "form_variations"]
+__all__ = ["Products", "Tangents", "Vjp", "form_products"]
 
 
 @dataclass(frozen=True)
-class Variation:
+class Tangents:
     """Derivatives along one direction.
 
     Attributes
@@ -37,7 +37,7 @@ class Variation:
 
 
 @dataclass(frozen=True)
-class Pullback:
+class Vjp:
     """The gradient of a weighted sum: the product of weights with a Jacobian, by one reverse pass.
 
     Attributes
@@ -53,24 +53,24 @@ class Pullback:
 
 
 @dataclass(frozen=True)
-class Variations:
+class Products:
     """Products of derivatives with vectors, on the tape of the equations.
 
     Attributes
     ----------
-    variation : Variation
-    pullback : Pullback
+    jvp : Tangents
+    residual_vjp : Vjp
         Of q' and `Equations.residual` at fixed u' and multipliers.
-    constraint_pullback : Pullback
+    constraint_vjp : Vjp
         Of the violations of positions, (n_c + n_i,), and velocities, (n_c,).
     """
 
-    variation: Variation
-    pullback: Pullback
-    constraint_pullback: Pullback
+    jvp: Tangents
+    residual_vjp: Vjp
+    constraint_vjp: Vjp
 
 
-def form_variations(equations: Equations) -> Variations:
+def form_products(equations: Equations) -> Products:
     """Differentiate the equations of motion and the constraints along one direction, and in reverse.
 
     Parameters
@@ -79,32 +79,32 @@ def form_variations(equations: Equations) -> Variations:
 
     Returns
     -------
-    Variations
+    Products
 
     Examples
     --------
     >>> from fourbar_codegen.dynamics.formation import form_equations
     >>> from fourbar_codegen.models import four_bar
-    >>> form_variations(form_equations(four_bar())).pullback.gradient.shape
+    >>> form_products(form_equations(four_bar())).residual_vjp.gradient.shape
     (15,)
     """
     e = equations
     leaves = (*e.variables.state, *e.variables.parameters, *e.variables.inputs)
     direction = tuple(e.tape.leaf("d", str(number)) for number in range(len(leaves)))
     along = Jvp(e.tape, dict(zip(leaves, direction, strict=True)))
-    return Variations(
-        Variation(
+    return Products(
+        Tangents(
             direction,
-            vector("coordinate_rate_variation", map(along, e.dynamics.coordinate_rates.entries)),
-            vector("residual_variation", map(along, e.dynamics.residual.entries)),
-            vector("position_variation", map(along, e.positions.violation.entries)),
-            vector("velocity_variation", map(along, e.velocities.violation.entries)),
+            vector("coordinate_rate_tangent", map(along, e.dynamics.coordinate_rates.entries)),
+            vector("residual_tangent", map(along, e.dynamics.residual.entries)),
+            vector("position_tangent", map(along, e.positions.violation.entries)),
+            vector("velocity_tangent", map(along, e.velocities.violation.entries)),
         ),
-        _pullback(e, "dynamics", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries), leaves),
-        _pullback(e, "constraints", (*e.positions.violation.entries, *e.velocities.violation.entries), leaves),
+        _vjp(e, "dynamics", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries), leaves),
+        _vjp(e, "constraints", (*e.positions.violation.entries, *e.velocities.violation.entries), leaves),
     )
 
 
-def _pullback(e: Equations, kind: str, rows: Sequence[Scalar], leaves: Sequence[Scalar]) -> Pullback:
+def _vjp(e: Equations, kind: str, rows: Sequence[Scalar], leaves: Sequence[Scalar]) -> Vjp:
     weights = tuple(e.tape.leaf("g", f"{kind}{number}") for number in range(len(rows)))
-    return Pullback(weights, vector("gradient", vjp(e.tape, list(zip(rows, weights, strict=True)), leaves)))
+    return Vjp(weights, vector("gradient", vjp(e.tape, list(zip(rows, weights, strict=True)), leaves)))

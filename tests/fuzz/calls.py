@@ -178,8 +178,8 @@ NOT_FOR_USERS = {
     "breakpoints", "capsule", "constraint_vjp", "constraint_jvp", "default_input_partials",
     "defaults_in_force", "described", "evaluate", "evaluate_along", "failure", "find", "from_file",
     "from_loaded", "has_inputs", "held_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives",
-    "lacks_products", "missing", "parameter_values", "rates_at_rest", "require_batch_functions",
-    "require_derivatives", "require_output_derivatives", "require_products", "title", "too_few_dependent",
+    "lacks_products", "missing", "motion_along", "parameter_values", "quantities_along", "rates_at_rest",
+    "require_batch_functions", "require_derivatives", "require_output_derivatives", "require_products", "title", "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 
@@ -196,12 +196,12 @@ def calls_of(name: str) -> dict[str, Call]:
     for function in (
         "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
         "velocity_constraints", "multipliers", "output", "output_jacobian", "output_parameter_jacobian",
-        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "momentum", "linearize",
+        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "linearize",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.
     for function in (
-        "dynamics", "velocity", "constraint_violation", "constraint_scale", "energy", "drawing",
+        "dynamics", "velocity", "constraint_violation", "constraint_scale", "energy", "momentum", "drawing",
         "constraint_partials",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)

@@ -649,7 +649,7 @@ class Kernel(Functions):
         (242.0, (3,))
         """
         momentum, angular_momentum, spin = self.evaluate(Role.MOMENTA, t, x, p, r)
-        return momentum, angular_momentum, spin
+        return self._finite(momentum, t, x), angular_momentum, spin
 
 
 def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:

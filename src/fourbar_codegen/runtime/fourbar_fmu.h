@@ -45,7 +45,7 @@ enum {
 #define FB_VIOLATED 1e-9
 
 /* How serialized states begin; the number changes with their contents. */
-#define FMU_KIND "fourbar state 2"
+#define FMU_KIND "fourbar state 1"
 #define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 /* The interval of `between`, in fourbar_library.h. */

@@ -179,7 +179,8 @@ NOT_FOR_USERS = {
     "defaults_in_force", "described", "evaluate", "evaluate_along", "failure", "find", "from_file",
     "from_loaded", "has_inputs", "held_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives",
     "lacks_products", "missing", "motion_along", "parameter_values", "quantities_along", "rates_at_rest",
-    "require_batch_functions", "require_derivatives", "require_output_derivatives", "require_products", "title", "too_few_dependent",
+    "require_batch_functions", "require_derivatives", "require_output_derivatives", "require_products", "title",
+    "too_few_dependent",
 }  # fmt: skip
 """Names of `CompiledModel` by which parts of the package speak to each other."""
 

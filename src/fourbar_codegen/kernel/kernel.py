@@ -645,7 +645,7 @@ class Kernel(Functions):
         --------
         >>> import fourbar_codegen as fb
         >>> momentum, about_fixed_point, _ = fb.load("four_bar").momentum(0.0, [0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
-        >>> round(momentum[1], 6), about_fixed_point.shape
+        >>> momentum.round(6).tolist()[1], about_fixed_point.shape
         (242.0, (3,))
         """
         momentum, angular_momentum, spin = self.evaluate(Role.MOMENTA, t, x, p, r)

@@ -360,7 +360,7 @@ class _Simulation:
         outputs: Sequence[Any],
         how: dict[str, Any],
     ) -> _Simulation:
-        own = [entry.name for entry in model.layout.inputs if not entry.order]
+        own = model.layout.own_inputs
         sources = named(options.inputs or {}, own, "input")
         wanted = map(name_of, listed(outputs, "outputs is a sequence of names"))
         names = tuple(named(dict.fromkeys(wanted), model.outputs, "output"))

@@ -386,6 +386,11 @@ class Layout:
         """Numbers of the inputs, also of rates, that positions, velocities or constraints depend on."""
         return [place for place, entry in enumerate(self.inputs) if entry.moves]
 
+    @property
+    def own_inputs(self) -> tuple[str, ...]:
+        """The inputs without their rates."""
+        return tuple(entry.name for entry in self.inputs if not entry.order)
+
     @cached_property
     def has_rates(self) -> frozenset[str]:
         """The inputs whose rates are inputs too."""

@@ -158,7 +158,7 @@ class _Motion:
 
 def _names(model: Kernel) -> list[str]:
     """The inputs, without rates."""
-    return [entry.name for entry in model.layout.inputs if not entry.order]
+    return [*model.layout.own_inputs]
 
 
 def _unknown(model: Kernel, find: Any, given: Mapping[str, InputSource | Floats]) -> list[str]:

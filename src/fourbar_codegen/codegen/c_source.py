@@ -433,7 +433,7 @@ def _entries_text(entries: Sequence[_Entry], storage: str = "") -> str:
 static int call_dynamics(const fb_at *, const double *const *, double *const *, void *);
 static const fb_array dynamics_results[5];
 static const fb_function own_functions[FB_N_ROLES] = {{
-    [FB_DYNAMICS] = {{call_dynamics, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 0, 5, NULL, dynamics_results}},
+    [FB_DYNAMICS] = {{call_dynamics, {_needs_text(Role.DYNAMICS)}, 0, 5, NULL, dynamics_results}},
 {_rows_text(entries, 4)}
 }};""")
     return "\n\n".join(texts)
@@ -444,14 +444,18 @@ def _arrays_text(name: str, arrays: Sequence[tuple[str, int, int]]) -> str:
     return "\n".join(textwrap.wrap(f"static const fb_array {name}[] = {{{rows}}};", LINE, subsequent_indent="    "))
 
 
+def _needs_text(role: Role) -> str:
+    return " | ".join(f"FB_NEEDS_{need.name}" for need in Needs if role.needs & need) or "0"
+
+
 def _rows_text(entries: Sequence[_Entry], indent: int) -> str:
     """The rows of a table."""
     rows = []
     for entry in entries:
-        needs = " | ".join(f"FB_NEEDS_{need.name}" for need in Needs if entry.role.needs & need) or "0"
         arrays = ", ".join(f"{entry.name}_{kind}" if of else "NULL" for kind, of in entry.arrays)
         counts = f"{len(entry.arguments)}, {len(entry.results)}"
-        text = f"{' ' * indent}[FB_{entry.role.name}] = {{call_{entry.name}, {needs}, {counts}, {arrays}}},"
+        called = f"call_{entry.name}, {_needs_text(entry.role)}, {counts}, {arrays}"
+        text = f"{' ' * indent}[FB_{entry.role.name}] = {{{called}}},"
         rows += textwrap.wrap(text, LINE, subsequent_indent=" " * (indent + 4))
     return "\n".join(rows)
 

@@ -12,7 +12,7 @@ from fourbar_codegen.dynamics.equations import Equations, matrix, vector
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian
 from fourbar_codegen.expressions.tape import Result, Scalar
 
-__all__ = ["Derivatives", "Tangent", "form_derivatives"]
+__all__ = ["Derivatives", "Tangent", "form_derivatives", "form_tangent"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Tangent:
     direction : tuple of Scalar
         The leaves of a direction in the space of the states, the parameters or the inputs.
     coordinate_rates, residual : Result
-        The derivatives of q' and of `Equations.residual` at fixed u' and multipliers along it.
+        The derivatives of q' and of `Dynamics.residual` at fixed u' and multipliers along it.
     """
 
     direction: tuple[Scalar, ...]
@@ -41,7 +41,7 @@ class Derivatives:
     coordinate_rate_jacobian, coordinate_rate_parameter_jacobian, coordinate_rate_input_jacobian : Result or None
         Derivatives of q' with respect to x, p and r, (n_q, n_x), (n_q, n_p) and (n_q, n_r).
     residual_jacobian, residual_parameter_jacobian, residual_input_jacobian : Result or None
-        Derivatives of `Equations.residual` at fixed u' and multipliers with respect to x, p and r.
+        Derivatives of `Dynamics.residual` at fixed u' and multipliers with respect to x, p and r.
     tangents : tuple of Tangent
         Instead of these six matrices, their products with vectors, for x, p and r; empty if there are the matrices.
     state_rate_acceleration_jacobian, state_rate_multiplier_jacobian : Result
@@ -115,7 +115,7 @@ def form_derivatives(equations: Equations, *, by_columns: bool = False) -> Deriv
     tangents = []
     for kind, variables in (("", v.state), ("_parameter", v.parameters), ("_input", v.inputs)):
         if by_columns:
-            tangents.append(_tangent(e, kind, variables))
+            tangents.append(form_tangent(e, kind, variables)[0])
         # Forward mode: all rows of both results share the subexpressions of each direction.
         directions = [] if by_columns else [Jvp(e.tape, {variable: e.tape.one}) for variable in variables]
         for name, of in (("coordinate_rate", e.dynamics.coordinate_rates), ("residual", e.dynamics.residual)):
@@ -155,11 +155,13 @@ def form_derivatives(equations: Equations, *, by_columns: bool = False) -> Deriv
     )
 
 
-def _tangent(e: Equations, kind: str, variables: Sequence[Scalar]) -> Tangent:
+def form_tangent(e: Equations, kind: str, variables: Sequence[Scalar]) -> tuple[Tangent, Jvp]:
+    """The derivatives along a direction of variables, and the differentiation along it."""
     direction = tuple(e.tape.leaf("d", f"{kind}{number}") for number in range(len(variables)))
     along = Jvp(e.tape, dict(zip(variables, direction, strict=True)))
-    return Tangent(
+    tangent = Tangent(
         direction,
         vector(f"coordinate_rate{kind}_tangent", map(along, e.dynamics.coordinate_rates.entries)),
         vector(f"residual{kind}_tangent", map(along, e.dynamics.residual.entries)),
     )
+    return tangent, along

@@ -8,32 +8,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from fourbar_codegen.dynamics.derivatives import Tangent, form_tangent
 from fourbar_codegen.dynamics.equations import Equations, vector
-from fourbar_codegen.expressions.derivatives import Jvp, vjp
+from fourbar_codegen.expressions.derivatives import vjp
 from fourbar_codegen.expressions.tape import Result, Scalar
 
-__all__ = ["Products", "Tangents", "Vjp", "form_products"]
-
-
-@dataclass(frozen=True)
-class Tangents:
-    """Derivatives along one direction.
-
-    Attributes
-    ----------
-    direction : tuple of Scalar
-        Its leaves, in the order x, p, r.
-    coordinate_rates, residual : Result
-        The derivatives of q' and of `Equations.residual` at fixed u' and multipliers along it.
-    positions, velocities : Result
-        The derivatives of `Equations.position_violation`, (n_c + n_i,), and of J u + b, (n_c,).
-    """
-
-    direction: tuple[Scalar, ...]
-    coordinate_rates: Result
-    residual: Result
-    positions: Result
-    velocities: Result
+__all__ = ["Products", "Vjp", "form_products"]
 
 
 @dataclass(frozen=True)
@@ -58,14 +38,19 @@ class Products:
 
     Attributes
     ----------
-    jvp : Tangents
+    tangent : Tangent
+        Along a direction of x, p and r.
+    positions, velocities : Result
+        The derivatives of `PositionConstraints.violation`, (n_c + n_i,), and of J u + b, (n_c,), along it.
     residual_vjp : Vjp
-        Of q' and `Equations.residual` at fixed u' and multipliers.
+        Of q' and `Dynamics.residual` at fixed u' and multipliers.
     constraint_vjp : Vjp
         Of the violations of positions, (n_c + n_i,), and velocities, (n_c,).
     """
 
-    jvp: Tangents
+    tangent: Tangent
+    positions: Result
+    velocities: Result
     residual_vjp: Vjp
     constraint_vjp: Vjp
 
@@ -90,16 +75,11 @@ def form_products(equations: Equations) -> Products:
     """
     e = equations
     leaves = (*e.variables.state, *e.variables.parameters, *e.variables.inputs)
-    direction = tuple(e.tape.leaf("d", str(number)) for number in range(len(leaves)))
-    along = Jvp(e.tape, dict(zip(leaves, direction, strict=True)))
+    tangent, along = form_tangent(e, "", leaves)
     return Products(
-        Tangents(
-            direction,
-            vector("coordinate_rate_tangent", map(along, e.dynamics.coordinate_rates.entries)),
-            vector("residual_tangent", map(along, e.dynamics.residual.entries)),
-            vector("position_tangent", map(along, e.positions.violation.entries)),
-            vector("velocity_tangent", map(along, e.velocities.violation.entries)),
-        ),
+        tangent,
+        vector("position_tangent", map(along, e.positions.violation.entries)),
+        vector("velocity_tangent", map(along, e.velocities.violation.entries)),
         _vjp(e, "dynamics", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries), leaves),
         _vjp(e, "constraints", (*e.positions.violation.entries, *e.velocities.violation.entries), leaves),
     )

@@ -90,7 +90,7 @@ def along(
 def by_name(model: Kernel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any]:
     """The inputs' sources, by name."""
     if inputs is not None and not is_mapping(inputs):
-        names = ", ".join(entry.name for entry in model.layout.inputs if not entry.order)
+        names = ", ".join(model.layout.own_inputs)
         raise ModelError(f"inputs must be a mapping from the inputs' names ({names}), not {shown(inputs)}.")
     return {} if inputs is None else inputs
 
@@ -98,9 +98,8 @@ def by_name(model: Kernel, inputs: Mapping[Any, Any] | None) -> Mapping[Any, Any
 def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> list[object]:
     """For each entry of the inputs r: None (its expression), a float, a Table or a callable."""
     entries = model.layout.inputs
-    names = [entry.name for entry in entries if not entry.order]
     sources: list[object] = [None] * len(entries)
-    for name, given in named(by_name(model, inputs), names, "input").items():
+    for name, given in named(by_name(model, inputs), model.layout.own_inputs, "input").items():
         first = model.inputs.index(name)
         orders = _orders(model, name)
         source = own_source(name, given)

@@ -612,7 +612,7 @@ class Kernel(Functions):
                 "loss of the bodies' potentials is not the work of loads. Give potential_energy= to the Model."
             )
         energy = self.energy(t, x, p, r).item(1)
-        if r is None and math.isnan(energy) and any(e.expression is None for e in self.layout.inputs):
+        if r is None and math.isnan(energy) and not self.has_inputs:
             raise ModelError(self.missing())
         return self._finite_number(energy, t, x)
 

@@ -265,12 +265,11 @@ def lower_products(program: Program, equations: Equations, products: Products) -
     >>> [f.name for f in functions][:2]
     ['residual_jvp', 'constraint_jvp']
     """
-    v = products.jvp
-    pulled, closed = products.residual_vjp, products.constraint_vjp
+    tangent, pulled, closed = products.tangent, products.residual_vjp, products.constraint_vjp
     drafts = _Drafts(equations, {ONE, *program.constants.nodes}.__contains__)
-    direction = _array("direction", v.direction)
-    drafts.add_jvp(Role.RESIDUAL_JVP, [v.coordinate_rates, v.residual], direction)
-    drafts.add_jvp(Role.CONSTRAINT_JVP, [v.positions, v.velocities], direction)
+    direction = _array("direction", tangent.direction)
+    drafts.add_jvp(Role.RESIDUAL_JVP, [tangent.coordinate_rates, tangent.residual], direction)
+    drafts.add_jvp(Role.CONSTRAINT_JVP, [products.positions, products.velocities], direction)
     drafts.add(Role.RESIDUAL_VJP, pulled.gradient, further=_array("weights", pulled.weights))
     drafts.add(Role.CONSTRAINT_VJP, closed.gradient, further=_array("weights", closed.weights))
     return drafts.functions(program.constants)

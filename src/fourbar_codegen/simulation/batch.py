@@ -180,7 +180,7 @@ def _arguments(
     inputs = None
     if r is not None:
         inputs = named_columns(_with_defaults(model, times, parameters, r, n), model.inputs, {}, "input", n)
-    elif any(entry.expression is None for entry in model.layout.inputs):
+    elif not model.has_inputs:
         raise ModelError(model.missing())
     return times, states, parameters, inputs
 

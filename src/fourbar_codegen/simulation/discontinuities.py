@@ -327,8 +327,7 @@ class _Prescribed:
     def jumping_positions(self, before: float, after: float) -> list[str]:
         """Names of the motions, constraints and points that jump."""
         q, entries = self.x[: self.ode.n_q], self.ode.layout.inputs
-        moving = {entry.of for entry in entries if entry.order}
-        places = [place for place, entry in enumerate(entries) if entry.name in moving]
+        places = [place for place, entry in enumerate(entries) if entry.name in self.ode.layout.has_rates]
 
         tables = [place for place, source in enumerate(self.ode.sources) if isinstance(source, Table)]
         held = self.inputs(before)[tables]

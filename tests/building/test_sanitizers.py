@@ -105,7 +105,7 @@ static double evaluate(const fb_kernel *k, const double *p)
     fb_place_follow(k, &follow, memory);
     sum += fb_follow_at(k, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
     free(memory);
-    k->orientation_changed(work);
+    k->toggled(work);
     k->project(0.5, x, c, r, 0, work);
     sum += rates[0];
     free(x), free(c), free(r), free(a), free(l), free(rates);

@@ -147,7 +147,7 @@ static int mock_rhs(double t, const double *x, const double *constants, const do
     return ((run *)work)->rates(t, x, rates);
 }
 
-static int mock_orientation_changed(void *work)
+static int mock_toggled(void *work)
 {
     (void)work;
     return 0;
@@ -180,7 +180,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     s->kernel.n_x = n;
     s->kernel.n_o = MOST;
     s->kernel.rhs = mock_rhs;
-    s->kernel.orientation_changed = mock_orientation_changed;
+    s->kernel.toggled = mock_toggled;
     s->kernel.accelerations = mock_accelerations;
     s->kernel.functions = mock_functions;
     s->problem.kernel = &s->kernel;

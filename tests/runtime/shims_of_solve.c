@@ -144,8 +144,8 @@ int solve_columns(const double *mass, const double *jacobian, int n, const doubl
     return status;
 }
 
-/* The orientation of the first N_C columns of J, in the units of all of n matrices J. */
-double orientation(int n, const double *jacobians, const double *jacobian, double *factor)
+/* The signed pivot of the first N_C columns of J, in the units of all of n matrices J. */
+double signed_pivot(int n, const double *jacobians, const double *jacobian, double *factor)
 {
     fb_units units = {{0.0}, {0.0}};
     int columns[FB_AT_LEAST_1(N_C)] = {0};
@@ -153,7 +153,7 @@ double orientation(int n, const double *jacobians, const double *jacobian, doubl
         columns[i] = i;
     for (int i = 0; i < n; ++i)
         *factor = fb_note_units(jacobians + i * N_C * N_U, &units);
-    return fb_orientation(jacobian, &units, columns);
+    return fb_signed_pivot(jacobian, &units, columns);
 }
 
 /* Whether J is close to losing rank, in its own units, compared with a least pivot. */

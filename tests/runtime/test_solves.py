@@ -436,14 +436,14 @@ def test_columns_of_right_hand_sides_are_solved_as_one_by_one(solvers, name, n):
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_the_orientation_has_the_sign_of_the_determinant(solvers, seed):
+def test_the_signed_pivot_has_the_sign_of_the_determinant(solvers, seed):
     solver = solvers("dense without static order")
     J = np.random.default_rng(seed).normal(size=(9, 10))
-    found = solver.shims.orientation(1, J, J, np.zeros(1), returns=ctypes.c_double)
+    found = solver.shims.signed_pivot(1, J, J, np.zeros(1), returns=ctypes.c_double)
     assert np.sign(found) == np.sign(np.linalg.det(J[:, :9]))
 
 
-def test_the_orientation_is_the_least_pivot_in_the_units_of_the_run(solvers):
+def test_the_signed_pivot_is_the_least_pivot_in_the_units_of_the_run(solvers):
     """Columns of a run had the largest entries 2 and 4; those of J are 1 and 3, so that its pivots are 1/2 and 3/4."""
     solver = solvers("dense")
     run = np.array(
@@ -451,11 +451,11 @@ def test_the_orientation_is_the_least_pivot_in_the_units_of_the_run(solvers):
     )
     J = np.array([[1.0, 0.0, 0.0, 0.0, 0.0], [0.0, -3.0, 0.0, 0.0, 0.0]])
     factor = np.zeros(1)
-    assert solver.shims.orientation(2, run, J, factor, returns=ctypes.c_double) == -0.5
+    assert solver.shims.signed_pivot(2, run, J, factor, returns=ctypes.c_double) == -0.5
     # The unit of the second column has grown fourfold since.
     assert factor[0] == 4.0
     J[1, 1] = 0.0
-    assert solver.shims.orientation(2, run, J, factor, returns=ctypes.c_double) == 0.0
+    assert solver.shims.signed_pivot(2, run, J, factor, returns=ctypes.c_double) == 0.0
 
 
 @pytest.mark.parametrize(("difference", "expected"), [(1e-3, 0), (1e-7, 1), (0.0, 1)])

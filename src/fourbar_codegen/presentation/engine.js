@@ -37,7 +37,7 @@ const makeEngine = async bytes => {
     const status = set({...point, x: point.x.map((value, i) => point.dependent[i] ? guess[i] : value)}) ||
       wasm.close_loops(point.begin);
     const inputs = Array.from({length: point.signals.length / 6}, (_, i) => wasm.input_value(i));
-    return {status, x: array(wasm.state(), point.x.length).slice(), inputs, sign: status ? 0 : wasm.orientation()};
+    return {status, x: array(wasm.state(), point.x.length).slice(), inputs, sign: status ? 0 : wasm.sign_of_determinant()};
   };
   const middle = (a, b) => a.map((value, i) => 0.5 * (value + b[i]));
   // Continues an assembly mode from one closed state to other values: two ways have to agree, at once and by the

@@ -75,7 +75,7 @@ cdef extern from "fourbar_kernel.h":
                    double *, void *) noexcept nogil
         int (*accelerations)(double, const double *, const double *, const double *, double *, double *,
                              void *) noexcept nogil
-        int (*orientation_changed)(void *) noexcept nogil
+        int (*toggled)(void *) noexcept nogil
         const fb_function *functions
         const fb_part *derivatives
         const fb_part *products

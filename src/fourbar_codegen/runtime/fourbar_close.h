@@ -17,7 +17,7 @@
 enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
 /* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
- * which the orientation of the constraints is another one, and where a step fails. */
+ * which the sign of det J_d is another one, and where a step fails. */
 #define FB_PASSED 1e-4
 #define FB_NEARBY 1e-3
 

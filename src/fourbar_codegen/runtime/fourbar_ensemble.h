@@ -13,9 +13,9 @@ typedef struct fb_lanes {
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_real first, last; /* of their pieces of time, see fb_clock */
-    /* J at the beginning of the step; the orientation of its columns in the static pivot order, see `fb_orientation`,
+    /* J at the beginning of the step; the signed pivot of its columns in the static pivot order, see `fb_signed_pivot`,
      * NaN if unknown; the largest one of the run; and the units */
-    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], orientation, largest_orientation; /* not of sparse equations */
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], signed_pivot, largest_pivot; /* not of sparse equations */
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
@@ -251,8 +251,8 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
         fb_fill_inputs(&c->problem, t, x);
         s->kernel->velocity(t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
         fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
-        c->orientation[lane] = NAN;
-        c->largest_orientation[lane] = 0.0;
+        c->signed_pivot[lane] = NAN;
+        c->largest_pivot[lane] = 0.0;
         for (int j = 0; j < N_U; ++j)
             c->column_unit[j][lane] = 0.0;
         for (int i = 0; i < N_C; ++i)
@@ -264,14 +264,14 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
     }
 }
 
-/* Whether J of the last evaluation has another orientation than at the beginning of the step, as in
- * `orientation_changed` of fourbar_model.h. In the requested lanes it is kept for the next step. */
-static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
+/* Whether det J_d of the last evaluation has another sign than at the beginning of the step, as in
+ * `toggled` of fourbar_model.h. In the requested lanes it is kept for the next step. */
+static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
 {
     fb_mask changed = asked & 0;
 #ifndef FB_SPARSE
     const fb_side *const s = &c->side;
-    fb_real orientation = fb_number(INFINITY), sign = fb_number(1.0);
+    fb_real signed_pivot = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0 || N_RANK < N_C)
         return changed;
     /* See fb_note_units; only the units of pivots matter here. */
@@ -295,15 +295,14 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
         const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
         const fb_real pivot = fb_abs(pivots[k]) / unit;
         growth = fb_greater(unit / units_before[k], growth);
-        orientation = fb_select(pivot < orientation, pivot, orientation);
+        signed_pivot = fb_select(pivot < signed_pivot, pivot, signed_pivot);
         sign = fb_select(pivots[k] < 0.0, -sign, sign);
     }
-    orientation = fb_select(s->factors.good, sign * orientation, fb_number(NAN));
-    const fb_real both = orientation * c->orientation;
+    signed_pivot = fb_select(s->factors.good, sign * signed_pivot, fb_number(NAN));
+    const fb_real both = signed_pivot * c->signed_pivot;
     changed = asked & (both < 0.0);
-    c->largest_orientation =
-        fb_select(asked, fb_greater(fb_abs(orientation), c->largest_orientation / growth), c->largest_orientation);
-    const fb_mask close = fb_abs(orientation) < FB_CLOSE_BY * c->largest_orientation;
+    c->largest_pivot = fb_select(asked, fb_greater(fb_abs(signed_pivot), c->largest_pivot / growth), c->largest_pivot);
+    const fb_mask close = fb_abs(signed_pivot) < FB_CLOSE_BY * c->largest_pivot;
     const fb_mask unknown = asked & ((both != both) | close);
     if (fb_any(unknown))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
@@ -316,14 +315,14 @@ static inline fb_mask fb_orientation_changed(fb_lanes *c, const fb_mask asked)
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
                 fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
                 if (fb_eliminate(now, &factors) != FB_OK ||
-                    fb_orientation(now, &units, factors.column) * fb_orientation(before, &units, factors.column) <
+                    fb_signed_pivot(now, &units, factors.column) * fb_signed_pivot(before, &units, factors.column) <
                         0.0 ||
-                    fb_is_close_by(now, &units, c->largest_orientation[lane]))
+                    fb_is_close_by(now, &units, c->largest_pivot[lane]))
                     changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)
         c->jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->jacobian_before[i]);
-    c->orientation = fb_select(asked, orientation, c->orientation);
+    c->signed_pivot = fb_select(asked, signed_pivot, c->signed_pivot);
 #else
     (void)c;
 #endif
@@ -455,7 +454,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     }
     for (int i = 0; i < N_X; ++i)
         taken &= end[i] - end[i] == 0.0;
-    const fb_mask changed = fb_orientation_changed(c, taken);
+    const fb_mask changed = fb_toggled(c, taken);
     if (fb_any(changed))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (changed[lane]) {

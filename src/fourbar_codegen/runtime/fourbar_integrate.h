@@ -35,7 +35,7 @@ enum { FB_WINDOW = 100 };
 
 enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
 
-/* States along a step at which the constraints' orientation is evaluated, if the ends are not conclusive. */
+/* States along a step at which the sign of det J_d is evaluated, if the ends are not conclusive. */
 enum { FB_LOOKS = 8 };
 
 enum FB_RUN {
@@ -43,7 +43,7 @@ enum FB_RUN {
     FB_RUN_PAUSED = 1,    /* as many steps as asked for */
     FB_RUN_FULL = 2,      /* no room for another sample, or for another step to keep */
     FB_RUN_EVENT = 3,     /* a step to examine before its samples are taken: an event function changed its sign, or the
-                             constraints their orientation */
+                             constraints the sign of det J_d */
     FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
     FB_RUN_INFINITE = 5,  /* the step's length is not finite */
     FB_RUN_COLLAPSED = 6, /* steps have become much smaller than they were on average */
@@ -114,10 +114,10 @@ struct fb_run {
     long n_times, next_time;
     double *sample_t, *sample_x; /* (room,), (room, n) */
     long room, n_samples;
-    int pending;             /* whether the last step's samples are still to be taken */
-    double until;            /* no samples after this time */
-    int orientation_changed; /* whether the constraints' orientation has changed in the last step */
-    int look_at_all;         /* whether to examine every step */
+    int pending;     /* whether the last step's samples are still to be taken */
+    double until;    /* no samples after this time */
+    int toggled;     /* whether the sign of det J_d has changed in the last step */
+    int look_at_all; /* whether to examine every step */
     /* outputs whose changes of sign are events */
     int n_events;
     const int *event_output, *event_direction;
@@ -247,7 +247,7 @@ static inline int fb_begin(fb_run *s)
     int status = fb_evaluate(s, s->t, s->x, f0);
     if (status < 0)
         return status;
-    s->problem->kernel->orientation_changed(s->problem->work);
+    s->problem->kernel->toggled(s->problem->work);
     const double interval = fabs(s->t_bound - s->t);
     const double d0 = fb_rms(s, s->x, NULL, s->x), d1 = fb_rms(s, f0, NULL, s->x);
     double h0 = d0 < 1e-5 || d1 < 1e-5 ? 1e-6 : 0.01 * d0 / d1;
@@ -590,12 +590,12 @@ static inline int fb_is_event(const double before, const double after, const int
     return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
 }
 
-/* Whether the constraints' orientation has also changed between neighbours of several states along the last step. If
+/* Whether the sign of det J_d has also changed between neighbours of several states along the last step. If
  * not, J kept its rank, and the step was only long. Ends with an evaluation at the state reached. */
-static inline int fb_orientation_changed_within(fb_run *s)
+static inline int fb_toggled_within(fb_run *s)
 {
     const long n_evaluations = s->n_evaluations; /* these evaluations are not counted, like those for events */
-    int orientation_changed = 0;
+    int toggled = 0;
     for (int i = 0; i <= FB_LOOKS; ++i) {
         const double since = i == FB_LOOKS ? s->t : s->t_old + s->h * i / FB_LOOKS;
         int status = 0;
@@ -607,11 +607,11 @@ static inline int fb_orientation_changed_within(fb_run *s)
             status = fb_evaluate(s, since, s->along, s->along + s->padded);
         if (status < 0)
             return status;
-        orientation_changed |= s->problem->kernel->orientation_changed(s->problem->work) && i > 0;
+        toggled |= s->problem->kernel->toggled(s->problem->work) && i > 0;
     }
     s->n_evaluations = n_evaluations;
     s->interpolant_valid = 0;
-    return orientation_changed;
+    return toggled;
 }
 
 /* One accepted step, and its derivatives, whose errors may ask for shorter ones: where the state rests, or moves
@@ -690,12 +690,12 @@ static inline int fb_run_on(fb_run *s, long n)
         if (s->steps)
             fb_keep_step(s, s->h);
         /* Methods that pass singular positions need not detect them. */
-        s->orientation_changed = s->augmented ? 0 : s->problem->kernel->orientation_changed(s->problem->work);
-        if (s->orientation_changed)
-            s->orientation_changed = fb_orientation_changed_within(s);
-        if (s->orientation_changed < 0)
-            return s->orientation_changed;
-        int look = s->look_at_all | s->orientation_changed;
+        s->toggled = s->augmented ? 0 : s->problem->kernel->toggled(s->problem->work);
+        if (s->toggled)
+            s->toggled = fb_toggled_within(s);
+        if (s->toggled < 0)
+            return s->toggled;
+        int look = s->look_at_all | s->toggled;
         if (s->n_events > 0) {
             memcpy(s->event_old, s->event_value, (size_t)s->n_events * sizeof *s->event_old);
             status = fb_event_values(s, s->t, s->x, s->event_value);

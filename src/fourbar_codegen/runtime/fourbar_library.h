@@ -139,7 +139,7 @@ static fb_run *run_of(struct FB_MODEL *model, const int order)
     run->along = own->rows + 3 * N_PADDED;
     run->interpolant = own->rows + 5 * N_PADDED;
     run->stages = own->rows + 12 * N_PADDED;
-    own->work.largest_orientation = 0.0; /* no step was taken yet */
+    own->work.largest_pivot = 0.0; /* no step was taken yet */
     memset(run->x, 0, N_PADDED * sizeof *run->x);
     memcpy(run->x, model->x, sizeof model->x);
     run->t = run->t_begin = model->t;
@@ -384,7 +384,7 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     return status;
 }
 
-/* Whether the constraints lose rank within the last step, in which their orientation has changed: at one of many
+/* Whether the constraints lose rank within the last step, in which the sign of det J_d has changed: at one of many
  * states, those near the least of them looked at more closely. */
 static int passes_singular_position(fb_run *run, const double typical)
 {

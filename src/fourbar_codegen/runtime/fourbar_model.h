@@ -51,14 +51,14 @@ typedef struct fb_work {
 #if N_N > 0
     fb_response response;
 #endif
-    double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `orientation_changed` was last called */
+    double jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)]; /* J when `toggled` was last called */
 #ifndef FB_SPARSE
-    fb_units units; /* of J in all calls of `orientation_changed` */
-    double orientation_before;
+    fb_units units; /* of J in all calls of `toggled` */
+    double signed_pivot_before;
     int was_static;
 #endif
-    double largest_orientation; /* in all calls, in the present units; 0 before the first */
-    double drift;               /* the relative constraint violation where the last projection took its factors */
+    double largest_pivot; /* in all calls, in the present units; 0 before the first */
+    double drift;         /* the relative constraint violation where the last projection took its factors */
 } fb_work;
 
 /* Factors of a state with a smaller violation serve for the tangent of the closed one: what they leave of a direction's
@@ -303,25 +303,25 @@ static int project(double t, double *x, const double *constants, const double *r
     return FB_NOT_CLOSED;
 }
 
-static int orientation_changed(void *work)
+static int toggled(void *work)
 {
     fb_work *const w = work;
     int result = 0;
 #ifndef FB_SPARSE
     if (N_C > 0 && N_RANK == N_C) {
         /* Near a pole of J, units grow without bound. */
-        w->largest_orientation /= fb_note_units(w->constraint_jacobian, &w->units);
+        w->largest_pivot /= fb_note_units(w->constraint_jacobian, &w->units);
         const int *const columns = fb_dependent_columns(w->constraint_jacobian, &w->factors);
         if (columns == NULL)
             return 1;
-        const double now = fb_orientation(w->constraint_jacobian, &w->units, columns);
-        result = fabs(now) < FB_CLOSE_BY * w->largest_orientation &&
-                 fb_is_close_by(w->constraint_jacobian, &w->units, w->largest_orientation);
-        if (w->largest_orientation > 0.0) {
+        const double now = fb_signed_pivot(w->constraint_jacobian, &w->units, columns);
+        result = fabs(now) < FB_CLOSE_BY * w->largest_pivot &&
+                 fb_is_close_by(w->constraint_jacobian, &w->units, w->largest_pivot);
+        if (w->largest_pivot > 0.0) {
             /* It is known if both have the static pivot order. */
             const int known = fb_is_static(&w->factors) && w->was_static;
             result |=
-                now * (known ? w->orientation_before : fb_orientation(w->jacobian_before, &w->units, columns)) < 0.0;
+                now * (known ? w->signed_pivot_before : fb_signed_pivot(w->jacobian_before, &w->units, columns)) < 0.0;
         }
         double changed = 0.0, size = 0.0;
         for (int i = 0; i < N_C; ++i)
@@ -334,10 +334,10 @@ static int orientation_changed(void *work)
                 }
                 w->jacobian_before[i * N_U + j] = entry;
             }
-        result |= w->largest_orientation > 0.0 && changed > size;
-        w->orientation_before = now;
+        result |= w->largest_pivot > 0.0 && changed > size;
+        w->signed_pivot_before = now;
         w->was_static = fb_is_static(&w->factors);
-        w->largest_orientation = fb_max(fabs(now), w->largest_orientation);
+        w->largest_pivot = fb_max(fabs(now), w->largest_pivot);
     }
 #else
     (void)w;
@@ -691,7 +691,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .constraint_violation = constraint_violation,
     .coordinate_change = coordinate_change,
     .project = project,
-    .orientation_changed = orientation_changed,
+    .toggled = toggled,
 #ifndef FB_LIBRARY
     .functions = own_functions,
 #endif

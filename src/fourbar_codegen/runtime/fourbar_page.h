@@ -181,7 +181,7 @@ int FB_EXPORT(close_loops)(const double t)
 
 /* The sign of the determinant of the derivatives of the position constraints by the dependent coordinates: an assembly
  * mode keeps it as long as it is not followed through a singular position. 0 if unknown. */
-int FB_EXPORT(orientation)(void)
+int FB_EXPORT(sign_of_determinant)(void)
 {
     enum { N = N_DEPENDENT_COORDINATES };
     double t, errors[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], matrix[FB_AT_LEAST_1(N * N)];

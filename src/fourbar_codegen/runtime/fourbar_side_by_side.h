@@ -78,7 +78,7 @@ static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, con
     fb_constrain_side_by_side(acceleration_bias, s, accelerations);
 }
 
-/* The pivots of J in the static pivot order, which is only a way to find its orientation. */
+/* The pivots of J in the static pivot order, which is only a way to find the sign of det J_d. */
 static inline void fb_pivots_side_by_side(const fb_factors_side_by_side *restrict s, fb_real *restrict pivots)
 {
     fb_real lu[FB_AT_LEAST_1(N_C)][N_U];

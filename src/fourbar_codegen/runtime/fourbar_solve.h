@@ -234,8 +234,8 @@ static inline double fb_note_units(const double *restrict jacobian, fb_units *re
 
 /* The sign of the determinant of the dependent speeds' columns of J, times their smallest pivot, with columns and rows
  * in their units: it passes through or near 0 at a singular position. */
-static inline double fb_orientation(const double *restrict jacobian, const fb_units *restrict units,
-                                    const int *restrict columns)
+static inline double fb_signed_pivot(const double *restrict jacobian, const fb_units *restrict units,
+                                     const int *restrict columns)
 {
     double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], smallest = INFINITY, sign = 1.0;
     for (int i = 0; i < N_C; ++i)
@@ -261,8 +261,8 @@ static inline double fb_orientation(const double *restrict jacobian, const fb_un
     return sign * smallest;
 }
 
-/* Whether J is close to losing rank, given the largest orientation of the run, for the pivots that are largest in these
- * units. Another choice of the dependent speeds can be small where J has full rank. */
+/* Whether J is close to losing rank, given the largest signed pivot of the run, for the pivots that are largest in
+ * these units. Another choice of the dependent speeds can be small where J has full rank. */
 static inline int fb_is_close_by(const double *restrict jacobian, const fb_units *restrict units, const double largest)
 {
     double scaled[FB_AT_LEAST_1(N_C * N_U)];
@@ -273,7 +273,7 @@ static inline int fb_is_close_by(const double *restrict jacobian, const fb_units
             scaled[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
         }
     return fb_eliminate(scaled, &factors) != FB_OK ||
-           fabs(fb_orientation(jacobian, units, factors.column)) < FB_CLOSE_BY * largest;
+           fabs(fb_signed_pivot(jacobian, units, factors.column)) < FB_CLOSE_BY * largest;
 }
 
 /* The speeds that the factors take as dependent, first of all; and whether these are those of the static pivot order.

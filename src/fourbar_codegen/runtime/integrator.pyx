@@ -93,7 +93,7 @@ cdef extern from "fourbar_integrate.h":
         long room, n_samples
         int pending
         double until, t_begin
-        int orientation_changed, fsal
+        int toggled, fsal
         int look_at_all
         int n_events
         const int *event_output
@@ -411,9 +411,9 @@ cdef class Ode:
             memcpy(data(result) + i * n_r, self.problem.inputs, n_r * sizeof(double))
         return result.T
 
-    def orientation_changed(self):
-        """Whether the constraints' orientation has changed since the last call: see `fb_kernel`."""
-        return bool(self.problem.kernel.orientation_changed(self.problem.work))
+    def toggled(self):
+        """Whether the sign of det J_d has changed since the last call: see `fb_kernel`."""
+        return bool(self.problem.kernel.toggled(self.problem.work))
 
     def closest(self, t, x):
         """The kernel's status, and the state projected onto the constraints, shape (n_x,)."""
@@ -1031,9 +1031,9 @@ cdef class Run:
                            self.directions)
 
     @property
-    def orientation_changed(self):
-        """Whether the constraints' orientation has changed in the last step."""
-        return bool(self.run.orientation_changed)
+    def toggled(self):
+        """Whether the sign of det J_d has changed in the last step."""
+        return bool(self.run.toggled)
 
     @property
     def t(self):

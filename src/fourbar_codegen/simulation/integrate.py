@@ -152,7 +152,7 @@ def integrate(
             progress(run.t)
             noted = now
         if reason == "event":
-            if run.orientation_changed:
+            if run.toggled:
                 samples.append(run.take_samples())
                 singular = looks.within_step(run, samples)
                 if singular:

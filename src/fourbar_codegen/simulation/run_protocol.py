@@ -48,8 +48,8 @@ class Integration(Protocol):
         """Values of the event functions at the start and at the end of the last step."""
 
     @property
-    def orientation_changed(self) -> bool:
-        """Whether the orientation of the constraints, sign(det J_d), has changed in the last step."""
+    def toggled(self) -> bool:
+        """Whether the sign of det J_d, sign(det J_d), has changed in the last step."""
 
     def begin(self) -> None:
         """Prepare for the first step."""

@@ -23,7 +23,7 @@ COLLAPSED = 1e-3
 """... if the steps collapse;"""
 
 PASSED = 1e-4
-"""... within a step in which the orientation of the constraints has changed;"""
+"""... within a step in which the sign of det J_d has changed;"""
 
 VARIED = 3e-2
 """... if the steps collapse because of derivatives, whose rounding errors grow before those of the motion;"""

@@ -26,7 +26,7 @@ SHORT = 16
 """A step of this many spacings of doubles is too short for all solvers."""
 
 LOOKS = 8
-"""Number of states within a step at which the orientation of the constraints is checked, if necessary."""
+"""Number of states within a step at which the sign of det J_d is checked, if necessary."""
 
 
 class SolverRun:
@@ -68,7 +68,7 @@ class SolverRun:
         self._counted = [0, 0, 0]
         self.ode: Ode = self._solver.ode
         self.t, self.t_old, self._since, self._since_old = t, t, 0.0, 0.0
-        self.n_steps, self.orientation_changed = 0, False
+        self.n_steps, self.toggled = 0, False
         self._x = self._x_old = np.array(x)
         self._t_bound, self._bound, self._until = t_bound, t_bound - t, t_bound - t
         self._times, self._next = times, 0
@@ -97,7 +97,7 @@ class SolverRun:
 
     def begin(self) -> None:
         """Prepare for the first step."""
-        self._orientation_changed()
+        self._toggled()
         values = self._event_values(self.t, self._x)
         self.event_values = values, values
 
@@ -156,7 +156,7 @@ class SolverRun:
         self.t, self._since, self._x = self._at(since), since, x
         self.n_steps += 1
         self._pending, self._interpolant = True, None
-        self.orientation_changed = self._orientation_changed()
+        self.toggled = self._toggled()
         if self._outputs:
             self.event_values = self.event_values[1], self._event_values(self.t, x)
         return "event"
@@ -164,20 +164,20 @@ class SolverRun:
     def _at(self, since: float) -> float:
         return self._t_bound if since == self._bound else self._origin + since
 
-    def _orientation_changed(self) -> bool:
-        """Whether the orientation of the constraints has changed since the last call, also within the step."""
-        if not self._orientation_changed_at(1.0) or self.n_steps == 0:
+    def _toggled(self) -> bool:
+        """Whether the sign of det J_d has changed since the last call, also within the step."""
+        if not self._toggled_at(1.0) or self.n_steps == 0:
             return False
         self.ode(self._since_old, self._x_old)
-        self.ode.orientation_changed()
+        self.ode.toggled()
         turned = [
-            self._orientation_changed_at(look / LOOKS) for look in range(1, LOOKS + 1)
+            self._toggled_at(look / LOOKS) for look in range(1, LOOKS + 1)
         ]  # up to the end, where the run continues
         return any(turned)
 
-    def _orientation_changed_at(self, share: float) -> bool:
+    def _toggled_at(self, share: float) -> bool:
         self.ode(self._within(share), self.state_within(share))
-        return self.ode.orientation_changed()
+        return self.ode.toggled()
 
     def _sample(self) -> None:
         """Store the samples of the last step."""

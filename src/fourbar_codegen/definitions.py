@@ -23,8 +23,7 @@ def definitions_text(layout: Layout) -> str:
     initial = ", ".join(_number(layout.initial.get(name, 0.0)) for name in names)
     defaults = ", ".join(_number(entry.default) for entry in layout.parameters) or "0.0"
     given = ", ".join(str(int(entry.expression is not None)) for entry in layout.inputs) or "0"
-    moving = layout.has_rates
-    moves = ", ".join(str(int(e.of in moving and e.order < 2)) for e in layout.inputs) or "0"
+    moves = ", ".join(str(int(e.of in layout.has_rates and e.order < 2)) for e in layout.inputs) or "0"
     return f"""
 enum {{
     N_DEPENDENT_COORDINATES = {layout.n_dependent_coordinates},

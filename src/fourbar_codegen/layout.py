@@ -97,15 +97,15 @@ class Input:
         The name of the input of which it is a rate; its own otherwise.
     order : int
         Of the rate: 0 for an input itself.
-    moves : bool
-        Whether positions, velocities or constraints depend on it.
+    is_prescribed : bool
+        Whether it prescribes a motion: positions, velocities or constraints depend on it.
     """
 
     name: str
     expression: str | None
     of: str
     order: int
-    moves: bool
+    is_prescribed: bool
 
 
 @dataclass(frozen=True)
@@ -378,13 +378,13 @@ class Layout:
     @cached_property
     def prescribed(self) -> tuple[str, ...]:
         """The inputs that prescribe a motion, in order."""
-        moving = {entry.of for entry in self.inputs if entry.moves}
-        return tuple(dict.fromkeys(entry.of for entry in self.inputs if entry.order or entry.of in moving))
+        prescribed = {entry.of for entry in self.inputs if entry.is_prescribed}
+        return tuple(dict.fromkeys(entry.of for entry in self.inputs if entry.order or entry.of in prescribed))
 
     @property
     def prescribed_places(self) -> list[int]:
         """Numbers of the inputs, also of rates, that positions, velocities or constraints depend on."""
-        return [place for place, entry in enumerate(self.inputs) if entry.moves]
+        return [place for place, entry in enumerate(self.inputs) if entry.is_prescribed]
 
     @property
     def own_inputs(self) -> tuple[str, ...]:
@@ -526,7 +526,7 @@ class Layout:
                 f"The compiled model {data['name']} was built with another version of this package, whose manifest has "
                 f"format {data['format']!r}, not {FORMAT}: build it again."
             )
-        moving = _each(int, data["moving_inputs"])
+        prescribed = _each(int, data["moving_inputs"])
         formulas = _object(data["position_constraints"])
         dependencies, timed_by = _object(data["dependencies"]), _object(data["timed_by"])
         gravity = data["gravity"]
@@ -543,7 +543,7 @@ class Layout:
             parameters=tuple(_parameter(_object(entry)) for entry in _list(data["parameters"])),
             derived_parameters=_by_name(str, data["derived_parameters"]),
             geometry=_each(str, data["geometry"]),
-            inputs=tuple(_input(_object(e), place in moving) for place, e in enumerate(_list(data["inputs"]))),
+            inputs=tuple(_input(_object(e), place in prescribed) for place, e in enumerate(_list(data["inputs"]))),
             outputs=_each(str, data["outputs"]),
             undetermined_outputs=_each(str, data["open_outputs"]),
             constraints=Constraints(
@@ -641,14 +641,14 @@ def _parameter(entry: Mapping[str, Json]) -> Parameter:
     )
 
 
-def _input(entry: Mapping[str, Json], moves: bool) -> Input:
+def _input(entry: Mapping[str, Json], is_prescribed: bool) -> Input:
     expression = entry["expression"]
     return Input(
         _one(str, entry["name"]),
         None if expression is None else _one(str, expression),
         _one(str, entry["of"]),
         _one(int, entry["order"]),
-        moves,
+        is_prescribed,
     )
 
 

@@ -124,8 +124,8 @@ def _are_own(loops: Loops) -> bool:
     own = np.array([*model.defaults.values()], dtype=float)
     pairs = [] if loops.p is None else [(loops.p, own)]
     if loops.r is not None:
-        moving = model.layout.prescribed_places
-        pairs.append((loops.r[moving], model.default_inputs(loops.t, loops.p)[moving]))
+        places = model.layout.prescribed_places
+        pairs.append((loops.r[places], model.default_inputs(loops.t, loops.p)[places]))
     return all(bool((np.isnan(expected) | (values == expected)).all()) for values, expected in pairs)
 
 
@@ -298,8 +298,8 @@ def _prescribed(loops: Loops) -> dict[str, float]:
     """The prescribed motions that positions depend on, by name."""
     model = loops.model
     r = model.default_inputs(loops.t, loops.p) if loops.r is None else loops.r
-    moving = [place for place, entry in enumerate(model.layout.inputs) if entry.moves and not entry.order]
-    return {model.inputs[place]: float(r[place]) for place in moving}
+    places = [place for place, entry in enumerate(model.layout.inputs) if entry.is_prescribed and not entry.order]
+    return {model.inputs[place]: float(r[place]) for place in places}
 
 
 def _open(loops: Loops, open_loops: Sequence[OpenLoop]) -> str:

@@ -101,7 +101,7 @@ def _violated(ode: Ode, t: float, x0: Floats, x: Floats, *, is_closed: bool) -> 
     given = [
         f"{entry.name} = {r[i]:.6g}{' (the slope of its table)' if order and entry.of in _tables(ode) else ''}"
         for i, entry in enumerate(entries)
-        if entry.moves and entry.order == order
+        if entry.is_prescribed and entry.order == order
     ]
     if given:
         text += f"At t = {t:g} the prescribed motion has {', '.join(given)}, which x0 has to fit. "

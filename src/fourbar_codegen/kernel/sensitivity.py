@@ -430,11 +430,11 @@ def initial_derivatives(
     """
     names = differentiable(model, inputs) if names is None else names
     entries, given = model.layout.inputs, _given(inputs)
-    moving = {entry.of for entry in entries if entry.moves}
+    prescribed = {entry.of for entry in entries if entry.is_prescribed}
     none = {  # no state depends on a force
         name: np.zeros((len(source[0]), model.n_x) if isinstance(source, tuple) else model.n_x)
         for name, source in given.items()
-        if name not in moving
+        if name not in prescribed
     }
     directions = directions_of(model, [name for name in names if name not in none], inputs)
     followed, locked = _followed(model, t, x, directions, parameters, inputs)

@@ -157,7 +157,7 @@ cdef class Evaluator:
     cdef bint has_defaults
     cdef readonly bint has_inputs
     cdef readonly bint states_need_solution
-    cdef bint has_motions
+    cdef bint has_prescribed
     cdef cnp.ndarray _parameters(self, object p)
     cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)
     cdef cnp.ndarray _state(self, double t, object x, int n)

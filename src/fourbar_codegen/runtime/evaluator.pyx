@@ -256,7 +256,7 @@ cdef class Evaluator:
         self.default_parameters = vector(values, self.n_p, "The default parameters")
         self.has_defaults = fb_finite(data(self.default_parameters), self.n_p)
         unknown = {place for place, entry in enumerate(layout.inputs) if entry.expression is None}
-        self.has_inputs, self.has_motions = not unknown, not unknown & set(layout.prescribed_places)
+        self.has_inputs, self.has_prescribed = not unknown, not unknown & set(layout.prescribed_places)
         kernel.prepare(data(self.default_parameters), self.default_constants)
 
     def __dealloc__(self):
@@ -375,7 +375,7 @@ cdef class Evaluator:
         cdef int i, status
         cdef list read = None, results = [None] * f.n_results
         if f.needs & (FB_NEEDS_STATE | FB_NEEDS_COORDINATES):
-            inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_motions)
+            inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_prescribed)
             state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
         if f.needs & FB_NEEDS_ACCELERATIONS:
             held = vector(accelerations, self.n_u, "The accelerations")
@@ -980,7 +980,7 @@ cdef class Evaluator:
         """
         t = time_of(t)
         cdef cnp.ndarray parameters = self._parameters(p)
-        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_motions)
+        cdef cnp.ndarray inputs = self._inputs(t, parameters, r, self.has_prescribed)
         cdef cnp.ndarray state = self._state(t, x, self.n_x)
         cdef int i, n = np.shape(directions)[1]
         cdef cnp.ndarray block, position, velocity
@@ -1116,7 +1116,7 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     """
     t = time_of(t)
     cdef cnp.ndarray parameters = evaluator._parameters(p)
-    cdef cnp.ndarray inputs = evaluator._inputs(t, parameters, r, evaluator.has_motions)
+    cdef cnp.ndarray inputs = evaluator._inputs(t, parameters, r, evaluator.has_prescribed)
     cdef cnp.ndarray state = evaluator._state(t, x, evaluator.n_x), given = numbers(directions, "The directions")
     cdef cnp.ndarray correction = np.zeros(evaluator.n_x), followed = given.copy(), memory, left
     evaluator.function(FB_CONSTRAINT_JVP)

@@ -762,7 +762,7 @@ def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
     model = revolute_chain(links)
     compiled, functions, p = fb.compile_model(model), our_functions(model), np.array(LINK)
 
-    def side_by_side(states: Floats) -> Callable[[], float]:
+    def batch(states: Floats) -> Callable[[], float]:
         names = {
             "function": functools.partial(
                 compiled.rhs_batch, out=aligned(np.empty((2 * links, len(states)))), workers=1
@@ -776,8 +776,8 @@ def chain_by_ourselves(links: int) -> dict[str, Evaluation]:
         "in C: fourbar_codegen": many(
             lambda states, out: functions.evaluate(len(states), address(states), address(p), address(out))
         ),
-        f"side by side: fourbar_codegen, `rhs_batch` of {BATCH}, one thread": Evaluation(
-            lambda states: compiled.rhs_batch(0.5, states.T.copy(), workers=1)[links:].T, side_by_side
+        f"batch: fourbar_codegen, `rhs_batch` of {BATCH}, one thread": Evaluation(
+            lambda states: compiled.rhs_batch(0.5, states.T.copy(), workers=1)[links:].T, batch
         ),
     }
 
@@ -975,11 +975,11 @@ def chain_table(rows: list[dict[str, Any]]) -> list[str]:
     sizes = sorted({row["links"] for row in rows})
     difference = max(row["difference"] for row in rows)
     sentences = []
-    for kind in ("from Python", "in C", "side by side"):
-        own = [name for name in names if name.startswith(f"{kind}: ") or (kind == "side by side" and "in C: " in name)]
+    for kind in ("from Python", "in C", "batch"):
+        own = [name for name in names if name.startswith(f"{kind}: ") or (kind == "batch" and "in C: " in name)]
         first = [min(own, key=lambda name, n=n: seconds[name, n]) for n in sizes]
         pairs = [(name.partition(": ")[2].partition(",")[0], str(n)) for name, n in zip(first, sizes, strict=True)]
-        words = {"side by side": "many states, side by side or one after another in C"}.get(kind, f"one state, {kind}")
+        words = {"batch": "many states, in a batch or one after another in C"}.get(kind, f"one state, {kind}")
         sentences.append(f"{words}, by n: {grouped(pairs)}")
     growths = [
         f"{name.partition(': ')[2].partition(',')[0]} {seconds[name, sizes[-1]] / seconds[name, sizes[-2]]:.2g}"

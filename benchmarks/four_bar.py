@@ -189,8 +189,8 @@ def main() -> None:
     states = np.tile(x0, (STATES, 1)).T + 1e-3 * np.random.default_rng(0).standard_normal((6, STATES))
     each = evaluation(tutorial.rhs, x0, 500)
     for name, model in (("as shipped", four_bar), ("compiled for this machine", own)):
-        side_by_side = functools.partial(model.rhs_batch, 0.5, states)
-        row(f"{STATES} states at once, {name}", "ms", None, lambda: STATES * each(), call(side_by_side))
+        batch = functools.partial(model.rhs_batch, 0.5, states)
+        row(f"{STATES} states at once, {name}", "ms", None, lambda: STATES * each(), call(batch))
 
     default = {"method": "RK45", "rtol": 1e-3, "atol": 1e-6}
     for name, target, how in (("RK45 as by default", None, default), ("DOP853 at 1e-10", 200, precise)):

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 19,\n'
+    '  "format": 20,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "418c24a8b65509184aa6a7fb16a910a599e907b1f49a0925977fb21290e5df2f",\n'
     '  "coordinates": [\n'
@@ -114,7 +114,7 @@ manifest = (
     '  ],\n'
     '  "moving_inputs": [],\n'
     '  "n_breakpoints": 0,\n'
-    '  "n_jumps": 0,\n'
+    '  "n_motion_breakpoints": 0,\n'
     '  "outputs": [],\n'
     '  "open_outputs": [],\n'
     '  "position_constraints": {\n'
@@ -520,7 +520,7 @@ manifest = (
     '  "has_potential_energy": true,\n'
     '  "energy_without": [],\n'
     '  "form": "dense",\n'
-    '  "jumps": [],\n'
+    '  "state_jumps": [],\n'
     '  "dependencies": {\n'
     '    "coordinate_rates": [\n'
     '      "0x8",\n'

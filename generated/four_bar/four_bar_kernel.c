@@ -8,7 +8,7 @@
  *
  * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.
- * fb_real is double, or several of them where states are evaluated side by side; see fourbar_real.h.
+ * fb_real is double, or a SIMD vector with a state in each lane; see fourbar_real.h.
  */
 #define FB_SHORT
 #include "four_bar_kernel.h"
@@ -378,10 +378,10 @@ static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_rea
     coordinate_change[2] = u3_rate;
 }
 
-#ifdef FB_SIDE_BY_SIDE
-#include "fourbar_side_by_side.h"
+#ifdef FB_LANES
+#include "fourbar_lanes.h"
 #else
-/* Times at which expressions have a jump or a kink. */
+/* Breakpoints, times at which expressions of time may have a jump or a kink. */
 static void breakpoints(double t, const double *restrict constants, double *restrict breakpoints)
 {
     (void)t;

@@ -171,125 +171,125 @@ static void residual_jvp_factors(double t, const double *restrict x, const doubl
 }
 
 /* The JVP of q' and of the residual along directions of (x, p, r), with u', lambda held. */
-static void residual_jvp_columns(const double *restrict constants, const double *restrict factors,
-    const fb_many *restrict direction, fb_many *restrict coordinate_rate_tangent,
-    fb_many *restrict residual_tangent)
+static void residual_jvp_simd(const double *restrict constants, const double *restrict factors,
+    const fb_simd *restrict direction, fb_simd *restrict coordinate_rate_tangent,
+    fb_simd *restrict residual_tangent)
 {
     const double factor2 = factors[2];
-    const fb_many d_0 = direction[0];
-    const fb_many z0 = factor2*d_0;
+    const fb_simd d_0 = direction[0];
+    const fb_simd z0 = factor2*d_0;
     const double factor4 = factors[4];
-    const fb_many z1 = factor4*d_0;
+    const fb_simd z1 = factor4*d_0;
     const double factor12 = factors[12];
-    const fb_many d_8 = direction[8];
-    const fb_many z2 = factor12*d_8;
+    const fb_simd d_8 = direction[8];
+    const fb_simd z2 = factor12*d_8;
     const double rho = constants[0];
     const double l3 = constants[3];
-    const fb_many d_6 = direction[6];
-    const fb_many d_9 = direction[9];
-    const fb_many z3 = l3*d_6 + rho*d_9;
+    const fb_simd d_6 = direction[6];
+    const fb_simd d_9 = direction[9];
+    const fb_simd z3 = l3*d_6 + rho*d_9;
     const double factor17 = factors[17];
     const double l2 = constants[2];
     const double factor16 = factors[16];
-    const fb_many d_3 = direction[3];
-    const fb_many z4 = factor16*d_3 + factor17*(l2*d_3 + factor17*d_8);
-    const fb_many d_4 = direction[4];
-    const fb_many z5 = d_3 + d_4;
+    const fb_simd d_3 = direction[3];
+    const fb_simd z4 = factor16*d_3 + factor17*(l2*d_3 + factor17*d_8);
+    const fb_simd d_4 = direction[4];
+    const fb_simd z5 = d_3 + d_4;
     const double factor19 = factors[19];
     const double factor18 = factors[18];
-    const fb_many z6 = factor18*z5 + factor19*(factor19*d_9 + l3*z5);
+    const fb_simd z6 = factor18*z5 + factor19*(factor19*d_9 + l3*z5);
     const double factor21 = factors[21];
-    const fb_many z7 = factor21*d_9;
+    const fb_simd z7 = factor21*d_9;
     const double factor24 = factors[24];
-    const fb_many d_1 = direction[1];
-    const fb_many z8 = factor24*d_1;
+    const fb_simd d_1 = direction[1];
+    const fb_simd z8 = factor24*d_1;
     const double factor23 = factors[23];
-    const fb_many z9 = factor23*d_1;
-    const fb_many z10 = factor23*z0 + factor4*z8 + factor24*z1 + factor2*z9;
-    const fb_many z11 = factor23*z1 - factor2*z8 - factor24*z0 + factor4*z9;
+    const fb_simd z9 = factor23*d_1;
+    const fb_simd z10 = factor23*z0 + factor4*z8 + factor24*z1 + factor2*z9;
+    const fb_simd z11 = factor23*z1 - factor2*z8 - factor24*z0 + factor4*z9;
     const double factor20 = factors[20];
     const double factor22 = factors[22];
     const double factor25 = factors[25];
     const double factor26 = factors[26];
-    const fb_many z12 = factor20*z6 + factor22*z7 - factor25*z10 + factor26*z11;
+    const fb_simd z12 = factor20*z6 + factor22*z7 - factor25*z10 + factor26*z11;
     const double factor15 = factors[15];
     const double factor11 = factors[11];
-    const fb_many z13 = factor15*z0 - factor4*z4 - factor11*z1 - factor2*z2 - (1.0/2.0)*z12;
+    const fb_simd z13 = factor15*z0 - factor4*z4 - factor11*z1 - factor2*z2 - (1.0/2.0)*z12;
     const double l4 = constants[4];
-    const fb_many d_10 = direction[10];
-    const fb_many z14 = l4*d_6 + rho*d_10;
-    const fb_many d_5 = direction[5];
-    const fb_many z15 = d_5 + z5;
+    const fb_simd d_10 = direction[10];
+    const fb_simd z14 = l4*d_6 + rho*d_10;
+    const fb_simd d_5 = direction[5];
+    const fb_simd z15 = d_5 + z5;
     const double factor29 = factors[29];
     const double factor28 = factors[28];
-    const fb_many z16 = factor28*z15 + factor29*(factor29*d_10 + l4*z15);
+    const fb_simd z16 = factor28*z15 + factor29*(factor29*d_10 + l4*z15);
     const double factor31 = factors[31];
-    const fb_many z17 = factor31*d_10;
+    const fb_simd z17 = factor31*d_10;
     const double factor33 = factors[33];
-    const fb_many d_2 = direction[2];
-    const fb_many z18 = factor33*d_2;
+    const fb_simd d_2 = direction[2];
+    const fb_simd z18 = factor33*d_2;
     const double factor34 = factors[34];
-    const fb_many z19 = factor34*d_2;
-    const fb_many z20 = factor20*z18 + factor22*z19 + factor34*z10 + factor33*z11;
-    const fb_many z21 = factor22*z18 - factor20*z19 - factor34*z11 + factor33*z10;
+    const fb_simd z19 = factor34*d_2;
+    const fb_simd z20 = factor20*z18 + factor22*z19 + factor34*z10 + factor33*z11;
+    const fb_simd z21 = factor22*z18 - factor20*z19 - factor34*z11 + factor33*z10;
     const double factor30 = factors[30];
     const double factor32 = factors[32];
     const double factor35 = factors[35];
     const double factor36 = factors[36];
-    const fb_many z22 = (1.0/2.0)*z12 - z13 + (1.0/2.0)*(factor30*z16 + factor32*z17 - factor35*z20 -
+    const fb_simd z22 = (1.0/2.0)*z12 - z13 + (1.0/2.0)*(factor30*z16 + factor32*z17 - factor35*z20 -
         factor36*z21);
     const double k9 = constants[9];
     const double factor27 = factors[27];
-    const fb_many z23 = factor27*z14 + k9*z22;
-    const fb_many d_14 = direction[14];
-    const fb_many z24 = d_14 + z23;
+    const fb_simd z23 = factor27*z14 + k9*z22;
+    const fb_simd d_14 = direction[14];
+    const fb_simd z24 = d_14 + z23;
     const double k8 = constants[8];
     const double factor14 = factors[14];
-    const fb_many z25 = factor14*z3 - k8*z13 + z24;
-    const fb_many z26 = factor22*z6 - factor20*z7 + factor25*z11 + factor26*z10;
-    const fb_many z27 = factor15*z1 + factor2*z4 + factor11*z0 - factor4*z2 + (1.0/2.0)*z26;
-    const fb_many z28 = (1.0/2.0)*z26 + z27 + (1.0/2.0)*(factor32*z16 - factor30*z17 - factor35*z21 +
+    const fb_simd z25 = factor14*z3 - k8*z13 + z24;
+    const fb_simd z26 = factor22*z6 - factor20*z7 + factor25*z11 + factor26*z10;
+    const fb_simd z27 = factor15*z1 + factor2*z4 + factor11*z0 - factor4*z2 + (1.0/2.0)*z26;
+    const fb_simd z28 = (1.0/2.0)*z26 + z27 + (1.0/2.0)*(factor32*z16 - factor30*z17 - factor35*z21 +
         factor36*z20);
     const double factor42 = factors[42];
-    const fb_many d_13 = direction[13];
+    const fb_simd d_13 = direction[13];
     const double factor39 = factors[39];
     const double factor41 = factors[41];
-    const fb_many z29 = d_6*factor41 + d_10*factor39 - factor42*z14 + k9*(d_13 - z28);
+    const fb_simd z29 = d_6*factor41 + d_10*factor39 - factor42*z14 + k9*(d_13 - z28);
     const double factor40 = factors[40];
     const double factor38 = factors[38];
-    const fb_many z30 = d_6*factor38 + d_9*factor39 - factor40*z3 + k8*(d_13 - z27) + z29;
+    const fb_simd z30 = d_6*factor38 + d_9*factor39 - factor40*z3 + k8*(d_13 - z27) + z29;
     const double k33 = constants[33];
     const double factor43 = factors[43];
-    const fb_many z31 = factor4*(z30 + (d_6*factor43 + d_8*factor39 + k33*d_13 + z30));
+    const fb_simd z31 = factor4*(z30 + (d_6*factor43 + d_8*factor39 + k33*d_13 + z30));
     const double factor13 = factors[13];
     const double factor37 = factors[37];
-    const fb_many z32 = (1.0/2.0)*(factor11*(l2*d_6 + rho*d_8) + k33*z2) + 2.0*(factor13*z1 + factor2*z25) -
+    const fb_simd z32 = (1.0/2.0)*(factor11*(l2*d_6 + rho*d_8) + k33*z2) + 2.0*(factor13*z1 + factor2*z25) -
         z0*factor37 + z31;
     const double factor51 = factors[51];
     const double factor52 = factors[52];
-    const fb_many z33 = l4*(factor51*z21 - factor32*z23 + factor52*z20 - factor30*z29);
+    const fb_simd z33 = l4*(factor51*z21 - factor32*z23 + factor52*z20 - factor30*z29);
     const double factor47 = factors[47];
     const double factor50 = factors[50];
     const double factor49 = factors[49];
     const double factor48 = factors[48];
-    const fb_many z34 = factor49*(factor47*d_6 + rho*d_10*factor48) + (1.0/2.0)*(factor50*d_10 - z33);
+    const fb_simd z34 = factor49*(factor47*d_6 + rho*d_10*factor48) + (1.0/2.0)*(factor50*d_10 - z33);
     const double factor54 = factors[54];
     const double factor55 = factors[55];
-    const fb_many z35 = factor22*(z24 + z25) - z10*factor54 + z11*factor55 + factor20*(z29 + z30);
+    const fb_simd z35 = factor22*(z24 + z25) - z10*factor54 + z11*factor55 + factor20*(z29 + z30);
     const double factor44 = factors[44];
     const double factor53 = factors[53];
     const double factor46 = factors[46];
     const double factor45 = factors[45];
-    const fb_many z36 = factor46*(factor44*d_6 + rho*d_9*factor45) + z34 + (1.0/2.0)*(factor53*d_9 + l3*z35);
+    const fb_simd z36 = factor46*(factor44*d_6 + rho*d_9*factor45) + z34 + (1.0/2.0)*(factor53*d_9 + l3*z35);
     const double factor59 = factors[59];
     const double factor60 = factors[60];
     const double factor61 = factors[61];
-    const fb_many z37 = factor59*z20 - factor60*z21 - d_10*factor61;
+    const fb_simd z37 = factor59*z20 - factor60*z21 - d_10*factor61;
     residual_tangent[2] = -(z34 + z37);
     const double factor56 = factors[56];
     const double factor57 = factors[57];
     const double factor58 = factors[58];
-    const fb_many z38 = z36 + (factor56*z10 + factor57*z11 - d_9*factor58 + z37);
+    const fb_simd z38 = z36 + (factor56*z10 + factor57*z11 - d_9*factor58 + z37);
     residual_tangent[1] = -z38;
     const double factor1 = factors[1];
     const double factor0 = factors[0];
@@ -299,35 +299,35 @@ static void residual_jvp_columns(const double *restrict constants, const double 
     const double factor10 = factors[10];
     const double factor3 = factors[3];
     const double factor5 = factors[5];
-    const fb_many d_11 = direction[11];
-    const fb_many d_12 = direction[12];
+    const fb_simd d_11 = direction[11];
+    const fb_simd d_12 = direction[12];
     const double factor9 = factors[9];
     const double factor6 = factors[6];
     const double factor8 = factors[8];
-    const fb_many z39 = c*d_4 + factor0*d_12 + k_*d_1 + factor1*d_11 + factor3*z0 + factor5*z1 - d_8*factor6 +
+    const fb_simd z39 = c*d_4 + factor0*d_12 + k_*d_1 + factor1*d_11 + factor3*z0 + factor5*z1 - d_8*factor6 +
         factor9*(factor7*d_6 + rho*d_8*factor8) + (1.0/2.0)*(factor10*d_8 + l2*z32) + z38;
     residual_tangent[0] = -z39;
     const double factor65 = factors[65];
-    const fb_many z40 = factor65*z15 + factor29*(factor30*z15 - factor29*z20) - factor31*z21;
+    const fb_simd z40 = factor65*z15 + factor29*(factor30*z15 - factor29*z20) - factor31*z21;
     const double factor66 = factors[66];
-    const fb_many z41 = factor66*z5 + factor19*(factor20*z5 - factor19*z10) + factor21*z11;
+    const fb_simd z41 = factor66*z5 + factor19*(factor20*z5 - factor19*z10) + factor21*z11;
     const double factor67 = factors[67];
-    const fb_many z42 = factor67*d_3 + factor17*(factor4*d_3 - factor17*z0) + factor12*z1;
+    const fb_simd z42 = factor67*d_3 + factor17*(factor4*d_3 - factor17*z0) + factor12*z1;
     const double factor64 = factors[64];
     const double factor63 = factors[63];
     const double factor62 = factors[62];
-    const fb_many z43 = factor62*d_10 + factor63*d_9 + factor64*d_8 + l4*z40 + l3*z41 + l2*z42;
+    const fb_simd z43 = factor62*d_10 + factor63*d_9 + factor64*d_8 + l4*z40 + l3*z41 + l2*z42;
     residual_tangent[3] = z43;
     const double factor71 = factors[71];
-    const fb_many z44 = factor71*z15 + factor29*(factor32*z15 - factor29*z21) + factor31*z20;
+    const fb_simd z44 = factor71*z15 + factor29*(factor32*z15 - factor29*z21) + factor31*z20;
     const double factor72 = factors[72];
-    const fb_many z45 = factor72*z5 + factor19*(factor22*z5 + factor19*z11) + factor21*z10;
+    const fb_simd z45 = factor72*z5 + factor19*(factor22*z5 + factor19*z11) + factor21*z10;
     const double factor73 = factors[73];
-    const fb_many z46 = factor73*d_3 + factor17*(factor2*d_3 + factor17*z1) + factor12*z0;
+    const fb_simd z46 = factor73*d_3 + factor17*(factor2*d_3 + factor17*z1) + factor12*z0;
     const double factor70 = factors[70];
     const double factor69 = factors[69];
     const double factor68 = factors[68];
-    const fb_many z47 = factor68*d_10 + factor69*d_9 + factor70*d_8 + l4*z44 + l3*z45 + l2*z46;
+    const fb_simd z47 = factor68*d_10 + factor69*d_9 + factor70*d_8 + l4*z44 + l3*z45 + l2*z46;
     coordinate_rate_tangent[0] = d_3;
     coordinate_rate_tangent[1] = d_4;
     coordinate_rate_tangent[2] = d_5;
@@ -340,9 +340,9 @@ static void residual_jvp(double t, const double *restrict x, const double *restr
     double *restrict residual_tangent)
 {
     double factors[74];
-    fb_many direction[15], of_coordinate_rate_tangent[3], of_residual_tangent[5];
+    fb_simd direction[15], of_coordinate_rate_tangent[3], of_residual_tangent[5];
     residual_jvp_factors(t, x, constants, r, accelerations, multipliers, factors);
-    fb_apply_columns(residual_jvp_columns, constants, factors, 15, direction, n, directions, 3,
+    fb_apply_columns(residual_jvp_simd, constants, factors, 15, direction, n, directions, 3,
         of_coordinate_rate_tangent, 5, of_residual_tangent, coordinate_rate_tangent, residual_tangent);
 }
 
@@ -394,61 +394,61 @@ static void constraint_jvp_factors(double t, const double *restrict x, const dou
 }
 
 /* The JVP of constraint_violation along directions of (x, p, r). */
-static void constraint_jvp_columns(const double *restrict constants, const double *restrict factors,
-    const fb_many *restrict direction, fb_many *restrict position_tangent, fb_many *restrict velocity_tangent)
+static void constraint_jvp_simd(const double *restrict constants, const double *restrict factors,
+    const fb_simd *restrict direction, fb_simd *restrict position_tangent, fb_simd *restrict velocity_tangent)
 {
     const double factor3 = factors[3];
-    const fb_many d_0 = direction[0];
-    const fb_many z0 = factor3*d_0;
+    const fb_simd d_0 = direction[0];
+    const fb_simd z0 = factor3*d_0;
     const double factor4 = factors[4];
-    const fb_many d_2 = direction[2];
-    const fb_many z1 = factor4*d_2;
+    const fb_simd d_2 = direction[2];
+    const fb_simd z1 = factor4*d_2;
     const double factor5 = factors[5];
-    const fb_many z2 = factor5*d_2;
+    const fb_simd z2 = factor5*d_2;
     const double factor8 = factors[8];
-    const fb_many d_1 = direction[1];
-    const fb_many z3 = factor8*d_1;
+    const fb_simd d_1 = direction[1];
+    const fb_simd z3 = factor8*d_1;
     const double factor2 = factors[2];
-    const fb_many z4 = factor2*d_0;
+    const fb_simd z4 = factor2*d_0;
     const double factor7 = factors[7];
-    const fb_many z5 = factor7*d_1;
-    const fb_many z6 = factor7*z0 + factor2*z3 + factor8*z4 + factor3*z5;
-    const fb_many z7 = factor7*z4 - factor3*z3 - factor8*z0 + factor2*z5;
+    const fb_simd z5 = factor7*d_1;
+    const fb_simd z6 = factor7*z0 + factor2*z3 + factor8*z4 + factor3*z5;
+    const fb_simd z7 = factor7*z4 - factor3*z3 - factor8*z0 + factor2*z5;
     const double factor1 = factors[1];
     const double factor6 = factors[6];
-    const fb_many z8 = factor1*z1 + factor6*z2 + factor5*z6 + factor4*z7;
+    const fb_simd z8 = factor1*z1 + factor6*z2 + factor5*z6 + factor4*z7;
     const double l2 = constants[2];
     const double l3 = constants[3];
     const double l4 = constants[4];
     const double factor0 = factors[0];
-    const fb_many d_7 = direction[7];
-    const fb_many d_8 = direction[8];
-    const fb_many d_9 = direction[9];
-    const fb_many d_10 = direction[10];
-    const fb_many z9 = d_7 + factor0*d_10 + factor1*d_9 + factor2*d_8 - l2*z0 - l4*z8 - l3*z6;
+    const fb_simd d_7 = direction[7];
+    const fb_simd d_8 = direction[8];
+    const fb_simd d_9 = direction[9];
+    const fb_simd d_10 = direction[10];
+    const fb_simd z9 = d_7 + factor0*d_10 + factor1*d_9 + factor2*d_8 - l2*z0 - l4*z8 - l3*z6;
     position_tangent[0] = z9;
-    const fb_many z10 = factor6*z1 - factor1*z2 - factor5*z7 + factor4*z6;
+    const fb_simd z10 = factor6*z1 - factor1*z2 - factor5*z7 + factor4*z6;
     const double factor9 = factors[9];
-    const fb_many z11 = factor9*d_10 + factor6*d_9 + factor3*d_8 + l2*z4 - l4*z10 + l3*z7;
+    const fb_simd z11 = factor9*d_10 + factor6*d_9 + factor3*d_8 + l2*z4 - l4*z10 + l3*z7;
     position_tangent[1] = z11;
-    const fb_many d_3 = direction[3];
-    const fb_many d_4 = direction[4];
-    const fb_many z12 = d_3 + d_4;
-    const fb_many d_5 = direction[5];
-    const fb_many z13 = d_5 + z12;
+    const fb_simd d_3 = direction[3];
+    const fb_simd d_4 = direction[4];
+    const fb_simd z12 = d_3 + d_4;
+    const fb_simd d_5 = direction[5];
+    const fb_simd z13 = d_5 + z12;
     const double factor13 = factors[13];
     const double factor15 = factors[15];
     const double factor14 = factors[14];
     const double factor12 = factors[12];
     const double factor11 = factors[11];
     const double factor10 = factors[10];
-    const fb_many z14 = factor10*d_10 + factor11*d_9 + factor12*d_8 + l2*(factor3*d_3 + factor13*z4) +
+    const fb_simd z14 = factor10*d_10 + factor11*d_9 + factor12*d_8 + l2*(factor3*d_3 + factor13*z4) +
         l4*(factor9*z13 - factor14*z10) + l3*(factor6*z12 + factor15*z7);
     velocity_tangent[0] = -z14;
     const double factor18 = factors[18];
     const double factor17 = factors[17];
     const double factor16 = factors[16];
-    const fb_many z15 = factor16*d_10 + factor17*d_9 + factor18*d_8 + l2*(factor2*d_3 - factor13*z0) +
+    const fb_simd z15 = factor16*d_10 + factor17*d_9 + factor18*d_8 + l2*(factor2*d_3 - factor13*z0) +
         l4*(factor0*z13 - factor14*z8) + l3*(factor1*z12 - factor15*z6);
     velocity_tangent[1] = z15;
 }
@@ -458,9 +458,9 @@ static void constraint_jvp(double t, const double *restrict x, const double *res
     double *restrict velocity_tangent)
 {
     double factors[19];
-    fb_many direction[15], of_position_tangent[2], of_velocity_tangent[2];
+    fb_simd direction[15], of_position_tangent[2], of_velocity_tangent[2];
     constraint_jvp_factors(t, x, constants, r, factors);
-    fb_apply_columns(constraint_jvp_columns, constants, factors, 15, direction, n, directions, 2,
+    fb_apply_columns(constraint_jvp_simd, constants, factors, 15, direction, n, directions, 2,
         of_position_tangent, 2, of_velocity_tangent, position_tangent, velocity_tangent);
 }
 

@@ -124,7 +124,7 @@ def named_array(
 def named_columns(
     given: Any, names: Sequence[str], defaults: Mapping[str, float | None], kind: str, n: int | None = None
 ) -> NDArray[np.float64]:
-    """Values for many states at once, in the order of the names.
+    """Values for a batch of states at once, in the order of the names.
 
     Parameters
     ----------

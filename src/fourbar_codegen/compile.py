@@ -324,7 +324,7 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
         if not compares:
             module, warnings = build(sources), equations.warnings
         else:
-            from fourbar_codegen.verify import STATES
+            from fourbar_codegen.verify import N_STATES
 
             compare = _comparison(progress, equations, derivatives)
 
@@ -334,7 +334,7 @@ def _build(model: Model, folder: Path, *, check: bool) -> Path:
 
             try:
                 # The module says how it was compared, which is known only after it has been compiled.
-                module, warnings = build(_saying(sources, model, STATES), check=compare_anything), equations.warnings
+                module, warnings = build(_saying(sources, model, N_STATES), check=compare_anything), equations.warnings
             except _NothingComparedError:
                 module = build(_saying(sources, model, 0))
                 warnings = (*equations.warnings, not_compared(model.name))
@@ -356,11 +356,11 @@ def _saying(sources: dict[str, str], model: Model, compared: int) -> dict[str, s
 
 def not_compared(name: str) -> str:
     """The warning where a model could not be compared with its equations."""
-    from fourbar_codegen.verify import NEAR
+    from fourbar_codegen.verify import DISTANCES
 
     return (
         f"The compiled motion of model {name} was not compared with its equations, which have no real value at any of "
-        f"{len(NEAR)} states: random ones, some near the initial values, and these. Give the Model initial values "
+        f"{len(DISTANCES)} states: random ones, some near the initial values, and these. Give the Model initial values "
         "(initial=) and parameters (parameters=) at which its expressions have a value."
     )
 
@@ -398,7 +398,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
     The functions that a simulation by an explicit method needs are compiled at once. Derivatives, drawing data, and the
-    functions for several states side by side are formed and compiled at their first use. The cache is in the user's
+    functions for batches of states are formed and compiled at their first use. The cache is in the user's
     cache folder, or in the folder given by the environment variable ``FOURBAR_CODEGEN_CACHE``.
 
     Parameters
@@ -407,7 +407,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     check : bool, optional
         Whether to compare the compiled functions with the equations, evaluated in Python at random states. A model that
         was compiled with ``check=False`` is compared at a later call with ``check=True``. Functions that are compiled
-        later are compared then, or not at all: derivatives with differences, states side by side with single states.
+        later are compared then, or not at all: derivatives with differences, batches of states with single states.
 
     Returns
     -------

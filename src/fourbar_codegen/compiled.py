@@ -719,7 +719,7 @@ class CompiledModel(Kernel):
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
             a given `x0` depends on no parameter and no input, except for what keeps it on the constraints. Where forces
             jump at times that are not known beforehand, as with the state, the change of the time of the jump is left
-            out, with a warning. Times of events by outputs are differentiated: ``trajectory.event_sensitivity``.
+            out, with a warning. Times of events of outputs are differentiated: ``trajectory.event_sensitivity``.
             Source: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", in *Modelling
             of Chemical Reaction Systems* (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
@@ -756,8 +756,8 @@ class CompiledModel(Kernel):
         >>> bool(abs(trajectory.constraint_residual).max() < 1e-12)
         True
         >>> run = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 1.0], sensitivities=["k", "l2"])
-        >>> by_length = run.sensitivity["l2"]
-        >>> by_length.shape, by_length[1, 0].round(2).item()  # dq2/dl2 of the closed loop
+        >>> d_length = run.sensitivity["l2"]
+        >>> d_length.shape, d_length[1, 0].round(2).item()  # dq2/dl2 of the closed loop
         ((6, 2), -0.83)
         """
         options = RunOptions.of(
@@ -852,7 +852,7 @@ class CompiledModel(Kernel):
         out: Floats | None = None,
         workers: int | None = 1,
     ) -> Floats:
-        """The right-hand side x' = f(t, x) at many states, in SIMD batches.
+        """The right-hand side x' = f(t, x) at a batch of states, in SIMD lanes and on all cores.
 
         Parameters
         ----------
@@ -901,7 +901,7 @@ class CompiledModel(Kernel):
         *,
         workers: int | None = 1,
     ) -> Floats:
-        """The derivatives of the right-hand side with respect to the state, at many states.
+        """The derivatives of the right-hand side with respect to the state, at a batch of states.
 
         Parameters
         ----------
@@ -940,7 +940,7 @@ class CompiledModel(Kernel):
         *,
         workers: int | None = 1,
     ) -> Floats:
-        """The derivatives of the right-hand side with respect to the parameters, at many states.
+        """The derivatives of the right-hand side with respect to the parameters, at a batch of states.
 
         Total derivatives, as `parameter_jacobian` has them; parameters, shape and errors are those of `jacobian_batch`.
 
@@ -970,7 +970,7 @@ class CompiledModel(Kernel):
         *,
         workers: int | None = 1,
     ) -> Floats:
-        """The derivatives of the right-hand side with respect to the inputs, at many states.
+        """The derivatives of the right-hand side with respect to the inputs, at a batch of states.
 
         Parameters, shape and errors are those of `jacobian_batch`.
 
@@ -1003,7 +1003,7 @@ class CompiledModel(Kernel):
         formulation: str = "index-3",
         workers: int | None = 1,
     ) -> Floats:
-        """The residual of the equations of motion at many states, for direct collocation.
+        """The residual of the equations of motion at a batch of states, for direct collocation.
 
         Its rows are q' - K u - k; M u' - f - J^T lambda; z' minus its expression; then for each constraint "index-3"
         Phi, or J u + b if it is nonholonomic, and for "index-1" J u' + gamma; then the rows of unknown forces that
@@ -1068,7 +1068,7 @@ class CompiledModel(Kernel):
         Parameters
         ----------
         wrt : sequence of {"x", "rates", "multipliers", "p", "r"}, optional
-            What to differentiate by; by default all, of which parameters take most of the time.
+            What to differentiate with respect to; by default all, of which parameters take most of the time.
 
         Returns
         -------
@@ -1133,7 +1133,7 @@ class CompiledModel(Kernel):
         parallel: Any = None,
         progress: bool = True,
     ) -> Ensemble:
-        """Simulate many members over the same time span, in SIMD batches and on all cores.
+        """Simulate many members over the same time span, in SIMD lanes and on all cores.
 
         Models with redundant or with many constraints run one member at a time on each core.
 

@@ -28,13 +28,13 @@ def definitions_text(layout: Layout) -> str:
 enum {{
     N_DEPENDENT_COORDINATES = {layout.n_dependent_coordinates},
     N_DEPENDENT_SPEEDS = {layout.n_dependent_speeds},
-    N_JUMPS = {layout.breakpoints.n_of_motions}
+    N_MOTION_BREAKPOINTS = {layout.breakpoints.n_motion_breakpoints}
 }};
 
 static const double default_parameters[] = {{{defaults}}};
 static const double initial_state[] = {{{initial}}};
 static const int has_expression[] = {{{given}}};
-static const int prescribes[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
+static const int is_prescribed[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
 """
 
 

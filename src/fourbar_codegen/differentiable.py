@@ -32,8 +32,8 @@ __all__ = ["JaxModel", "to_jax"]
 Floats = NDArray[np.float64]
 Arrays = Mapping[str, Any]
 
-STEP = 1e-5
-"""Of differences by time, relative to times above 1 s."""
+TIME_STEP = 1e-5
+"""Of differences in time, relative to times above 1 s."""
 
 
 def to_jax(model: CompiledModel) -> JaxModel:
@@ -93,7 +93,8 @@ class JaxModel:
     def rhs(self, t: Any, x: Any, p: Any = None, r: Any = None) -> Any:
         """The right-hand side x' = f(t, x, p, r), with derivatives in forward and reverse mode, and `jax.vmap`.
 
-        Derivatives are by x, p and r, also through the expressions of inputs; those by t are central differences.
+        Derivatives are with respect to x, p and r, also through the expressions of inputs; those with respect to t are
+        central differences.
 
         Parameters
         ----------
@@ -120,8 +121,8 @@ class JaxModel:
         >>> jax.config.update("jax_enable_x64", True)
         >>> four_bar = fb.load("four_bar")
         >>> x = four_bar.initial_state()
-        >>> by_state = jax.jacobian(lambda x: fb.to_jax(four_bar).rhs(0.0, x))(x)
-        >>> bool(abs(by_state - four_bar.jacobian(0.0, x)).max() == 0.0)
+        >>> d_state = jax.jacobian(lambda x: fb.to_jax(four_bar).rhs(0.0, x))(x)
+        >>> bool(abs(d_state - four_bar.jacobian(0.0, x)).max() == 0.0)
         True
         """
         import jax.numpy as jnp
@@ -246,18 +247,18 @@ def _inputs(model: CompiledModel) -> Callable[..., Any]:
     def evaluate(t: Any, p: Any) -> Floats:
         return model.default_inputs(float(t), np.asarray(p))
 
-    def by_time(t: Any, p: Any) -> Floats:
+    def wrt_time(t: Any, p: Any) -> Floats:
         return _difference(lambda time: evaluate(time, p), float(t))
 
     def differentiate(t: Any, p: Any) -> tuple[Floats, ...]:
         return (model.default_input_partials(float(t), np.asarray(p)),)
 
-    return _function(evaluate, by_time, differentiate, model.n_r, (model.n_p,), "sequential")
+    return _function(evaluate, wrt_time, differentiate, model.n_r, (model.n_p,), "sequential")
 
 
 def _function(
     evaluate: Callable[..., Floats],
-    by_time: Callable[..., Floats],
+    wrt_time: Callable[..., Floats],
     differentiate: Callable[..., tuple[Floats, ...]],
     n: int,
     widths: Sequence[int],
@@ -278,7 +279,7 @@ def _function(
     def jvp(primals: Any, tangents: Any) -> Any:
         rate, (of_time, *others) = jax.numpy.zeros(n), tangents
         if not isinstance(of_time, SymbolicZero):
-            rate += of_time * _called(by_time, shape, vmap_method)(*primals)
+            rate += of_time * _called(wrt_time, shape, vmap_method)(*primals)
         if not all(isinstance(change, SymbolicZero) for change in others):
             for matrix, change in zip(_called(differentiate, shapes, vmap_method)(*primals), others, strict=True):
                 rate += 0.0 if isinstance(change, SymbolicZero) else matrix @ change
@@ -304,8 +305,8 @@ def _called(function: Callable[..., Any], shapes: Any, vmap_method: str) -> Call
 
 
 def _difference(function: Callable[[Any], Floats], t: Any) -> Floats:
-    """The derivative by time, of order 2: other derivatives are exact."""
-    h = STEP * np.maximum(1.0, np.abs(t))
+    """The derivative with respect to time, of order 2: other derivatives are exact."""
+    h = TIME_STEP * np.maximum(1.0, np.abs(t))
     rate: Floats = (function(t + h) - function(t - h)) / (2.0 * h)
     return rate
 
@@ -329,12 +330,12 @@ def _rhs(model: CompiledModel) -> Callable[..., Any]:
         found = [np.moveaxis(function(times, *flat), -1, 0) for function in functions]
         return tuple(np.ascontiguousarray(each).reshape(*shape, *each.shape[1:]) for each in found)
 
-    def by_time(t: Any, x: Any, p: Any, r: Any) -> Floats:
+    def wrt_time(t: Any, x: Any, p: Any, r: Any) -> Floats:
         shape, times, *flat = columns(t, x, p, r)
         rates = _difference(lambda time: model.rhs_batch(time, *flat), times)
         return np.ascontiguousarray(rates.T).reshape(*shape, n_x)
 
-    return _function(evaluate, by_time, differentiate, n_x, (n_x, n_p, n_r), "broadcast_all")
+    return _function(evaluate, wrt_time, differentiate, n_x, (n_x, n_p, n_r), "broadcast_all")
 
 
 @dataclass(frozen=True)
@@ -376,7 +377,8 @@ class _Simulation:
 
         model, names = self.model, (*self.model.states, *self.outputs)
         shape = jax.ShapeDtypeStruct((len(names), len(self.t_eval)), float)
-        # Forwards, only what a call gives is differentiated by: others may have no derivative, and NaN times 0 is NaN.
+        # Forwards, derivatives are taken with respect to what a call gives alone: others may have no derivative, and
+        # NaN times 0 is NaN.
         solve = functools.cache(functools.partial(_forward if forward else _reverse, self, shape))
         start = {**dict.fromkeys(self.initial, 0.0), **model.layout.initial}
 
@@ -520,8 +522,8 @@ def _forward(simulation: _Simulation, shape: Any, given: tuple[str, ...]) -> Cal
 
     def jvp(primals: Any, tangents: Any) -> Any:
         of_all = jax.ShapeDtypeStruct((*shape.shape, n), float)
-        by_all = _called(matrix, of_all, "sequential")(*primals)
-        return solve(*primals), by_all @ jnp.concatenate(tangents)
+        wrt_all = _called(matrix, of_all, "sequential")(*primals)
+        return solve(*primals), wrt_all @ jnp.concatenate(tangents)
 
     solve.defjvp(jvp)
     return solve  # type: ignore[no-any-return]

@@ -30,11 +30,11 @@ from fourbar_codegen.kernel.sensitivity import (
     Directions,
     corrected,
     directions_of,
-    follow,
+    implicit_derivatives,
     independent_states,
     require_fixed_breakpoints,
 )
-from fourbar_codegen.progress import PATIENCE, Progress
+from fourbar_codegen.progress import QUIET_SECONDS, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.simulation.options import RunOptions
 from fourbar_codegen.simulation.simulate import simulate
@@ -47,19 +47,19 @@ __all__ = ["Experiment", "Fit", "fit"]
 
 Floats = NDArray[np.float64]
 
-UNDETERMINED = 1e-10
+RANK_RTOL = 1e-10
 """Singular values of the scaled Jacobian below this fraction of the largest leave parameters undetermined."""
 
 
-SMALL = 1e-3
+MIN_TRUST_REGION = 1e-3
 """Of residuals: a trust region of this size is too small to begin with."""
 
-ROUNDING = 1e-11
+ROUNDING_RTOL = 1e-11
 """Of simulated values: relative changes of an unknown that change them less are rounding errors of derivatives."""
 
 NAMES = "is a sequence of names, or a mapping from them"
 
-QUICK = 0.1
+QUIET_FIT_SECONDS = 0.1
 """A fit that takes less, in s, reports no progress."""
 
 Slopes = Callable[[Floats], tuple[Floats, Floats]]
@@ -267,11 +267,11 @@ def fit(
         )
     if len(first[0]) < len(problem.guess):
         raise ModelError(f"{len(first[0])} measurements do not determine {len(problem.guess)} unknowns.")
-    with Progress(f"{model.name}: fit", unwatched=PATIENCE) as progress:
+    with Progress(f"{model.name}: fit", unwatched=QUIET_SECONDS) as progress:
 
         def residual(unknowns: Floats) -> Floats:
             found = problem.simulated(unknowns)[0]
-            if time.monotonic() - begin > QUICK:
+            if time.monotonic() - begin > QUIET_FIT_SECONDS:
                 progress.stage(f"sum of squares {found @ found:.6g}")
             return found
 
@@ -330,7 +330,7 @@ def _origin(guess: Floats, residuals: Floats, jacobian: Floats) -> Floats | None
     """
     effect = np.linalg.norm(jacobian, axis=0)
     wanted = float(np.linalg.norm(residuals))
-    if np.linalg.norm(guess * effect) >= SMALL * wanted:
+    if np.linalg.norm(guess * effect) >= MIN_TRUST_REGION * wanted:
         return None
     changes: Floats = wanted / math.sqrt(len(guess)) / np.where(effect > 0.0, effect, math.inf)
     return guess - changes
@@ -517,7 +517,7 @@ class _Problem:
         change = np.linalg.norm(jacobian, axis=0) * np.maximum(
             np.maximum(np.abs(unknowns), np.abs(self.guess)), self.natural
         )
-        found: NDArray[np.bool_] = change <= ROUNDING * np.linalg.norm(residuals + self.weighted)
+        found: NDArray[np.bool_] = change <= ROUNDING_RTOL * np.linalg.norm(residuals + self.weighted)
         return found
 
     def _run(self, i: int, values: Floats) -> Trajectory:
@@ -569,7 +569,7 @@ class _Problem:
             sensitivities=self.own,
             **self.how,
         )
-        return _Start(options, follow(model, start, x0, self.directions, p, options.inputs))
+        return _Start(options, implicit_derivatives(model, start, x0, self.directions, p, options.inputs))
 
     def _next(self, last: _Start, values: Floats) -> _Start:
         """The start of the next run: the state is predicted by the derivatives of the last one."""
@@ -583,7 +583,7 @@ class _Problem:
         found = corrected(model, t, predicted[:n_x], self.directions, p, inputs)
         if found is None:
             x0 = nearby_state(model, held[:n_x], t=t, parameters=p, inputs=inputs)
-            found = x0, follow(model, t, x0, self.directions, p, inputs)
+            found = x0, implicit_derivatives(model, t, x0, self.directions, p, inputs)
         return _Start(options._replace(x0=found[0], parameters=p), found[1])
 
     def _compared(self, i: int, run: Trajectory) -> tuple[Floats, Floats]:
@@ -688,7 +688,7 @@ def _covariance(
     size = np.linalg.norm(jacobian, axis=0)
     scale = np.where(size > 0.0, size, 1.0)
     _, singular, directions = np.linalg.svd(jacobian / scale, full_matrices=False)
-    known = singular > UNDETERMINED * singular.max(initial=0.0)
+    known = singular > RANK_RTOL * singular.max(initial=0.0)
     if slopes is not None:
         variance = _robust_variance(residuals, n, slopes)
     else:

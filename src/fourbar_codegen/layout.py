@@ -23,7 +23,6 @@ __all__ = [
     "Formulas",
     "Input",
     "Json",
-    "Jump",
     "Layout",
     "Operations",
     "Parameter",
@@ -31,6 +30,7 @@ __all__ = [
     "PotentialEnergy",
     "Shape",
     "ShapeKind",
+    "StateJump",
 ]
 
 
@@ -54,7 +54,7 @@ class ShapeKind(StrEnum):
     LINE = "line"
 
 
-FORMAT = 19
+FORMAT = 20
 """Of the manifest's JSON text."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
@@ -150,7 +150,7 @@ class Constraints:
 
 
 @dataclass(frozen=True)
-class Jump:
+class StateJump:
     """A function of the state at which the equations of motion, or the expression of an input, jump.
 
     Attributes
@@ -178,16 +178,16 @@ class Breakpoints:
     Attributes
     ----------
     n : int
-        Times at which expressions have a jump or a kink, as far as these follow from parameters.
-    n_of_motions : int
+        The breakpoints, as far as these follow from parameters.
+    n_motion_breakpoints : int
         How many of them, the first ones, are those of positions or velocities.
-    jumps : tuple of Jump
+    state_jumps : tuple of StateJump
         At times that are not known beforehand.
     """
 
     n: int
-    n_of_motions: int
-    jumps: tuple[Jump, ...]
+    n_motion_breakpoints: int
+    state_jumps: tuple[StateJump, ...]
 
 
 @dataclass(frozen=True)
@@ -476,7 +476,7 @@ class Layout:
             "inputs": [{"name": e.name, "expression": e.expression, "of": e.of, "order": e.order} for e in self.inputs],
             "moving_inputs": [*self.prescribed_places],
             "n_breakpoints": self.breakpoints.n,
-            "n_jumps": self.breakpoints.n_of_motions,
+            "n_motion_breakpoints": self.breakpoints.n_motion_breakpoints,
             "outputs": [*self.outputs],
             "open_outputs": [*self.undetermined_outputs],
             "position_constraints": {
@@ -499,9 +499,9 @@ class Layout:
             "has_potential_energy": self.potential_energy.is_known,
             "energy_without": [*self.potential_energy.without],
             "form": self.form.value,
-            "jumps": [
+            "state_jumps": [
                 {"function": j.function, "input": j.input, "by_default": j.by_default, "known": j.known}
-                for j in self.breakpoints.jumps
+                for j in self.breakpoints.state_jumps
             ],
             "dependencies": {name: [*map(hex, rows)] for name, rows in self.dependencies.rows.items()},
             "timed": [*self.dependencies.timed],
@@ -555,8 +555,8 @@ class Layout:
             ),
             breakpoints=Breakpoints(
                 n=_one(int, data["n_breakpoints"]),
-                n_of_motions=_one(int, data["n_jumps"]),
-                jumps=tuple(_jump(_object(entry)) for entry in _list(data["jumps"])),
+                n_motion_breakpoints=_one(int, data["n_motion_breakpoints"]),
+                state_jumps=tuple(_state_jump(_object(entry)) for entry in _list(data["state_jumps"])),
             ),
             drawing=Drawing(
                 points=tuple(_point(_object(entry)) for entry in _list(data["points"])),
@@ -652,9 +652,9 @@ def _input(entry: Mapping[str, Json], is_prescribed: bool) -> Input:
     )
 
 
-def _jump(entry: Mapping[str, Json]) -> Jump:
+def _state_jump(entry: Mapping[str, Json]) -> StateJump:
     by_default, known = _one(bool, entry["by_default"]), _one(bool, entry["known"])
-    return Jump(_one(str, entry["function"]), _one(str, entry["input"]), by_default, known)
+    return StateJump(_one(str, entry["function"]), _one(str, entry["input"]), by_default, known)
 
 
 def _point(entry: Mapping[str, Json]) -> Point:

@@ -7,12 +7,12 @@ import threading
 import time
 from types import TracebackType
 
-__all__ = ["PATIENCE", "Progress"]
+__all__ = ["QUIET_SECONDS", "Progress"]
 
-PATIENCE = 1.0
+QUIET_SECONDS = 1.0
 """Seconds before the first output."""
 
-IN_LOGS = 30.0
+LOG_INTERVAL = 30.0
 """Seconds between two lines where stderr is no terminal, and lines stay."""
 
 
@@ -76,7 +76,7 @@ class Progress:
 
     def _show(self) -> None:
         width = 0
-        wait = PATIENCE
+        wait = QUIET_SECONDS
         while not self._done.wait(wait):
             text = self._text()
             width = max(width, len(text))
@@ -89,7 +89,7 @@ class Progress:
         wait = self._unwatched
         while not self._done.wait(wait):
             self._write(f"{self._text()}\n")
-            wait = IN_LOGS
+            wait = LOG_INTERVAL
 
     def _text(self) -> str:
         return f"{self._task}: {self._stage}, {time.monotonic() - self._begin:.0f} s"

@@ -1,4 +1,4 @@
-"""Enumerations that C and Python share: what the functions of a kernel compute, what they need, what they return.
+"""What C and Python share: what the functions of a kernel compute, need and return; and thresholds.
 
 ``setup.py`` writes them to ``fourbar_enums.h`` when the package is built.
 """
@@ -6,10 +6,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import IntEnum
+from enum import Enum, IntEnum
 from typing import Self
 
-__all__ = ["DIRECTIONS", "QUANTITIES", "VECTOR", "VECTORS", "Needs", "Quantity", "Role", "Status", "enums_text"]
+__all__ = [
+    "DIRECTIONS",
+    "QUANTITIES",
+    "VECTOR",
+    "VECTORS",
+    "Needs",
+    "Quantity",
+    "Role",
+    "Status",
+    "Threshold",
+    "enums_text",
+]
 
 DIRECTIONS = 8
 """The most directions that JVPs take at once: the columns of their arguments and results."""
@@ -50,6 +61,24 @@ class Status(_Enum):
     )
 
 
+class Threshold(float, Enum):
+    """Bounds of relative errors and ratios; two of the same value are members of their own."""
+
+    comment: str
+
+    def __new__(cls, value: float, comment: str) -> Self:
+        """A member with a comment."""
+        member = float.__new__(cls, value)
+        member._value_, member.comment = len(cls.__members__), comment
+        return member
+
+    ROW_RTOL = 2e-13, "Rows and pivots of J below this fraction of the largest are rounding errors: 1000 times eps."
+    # At a singular position, constraints are squares of coordinates, which are then known to the root of eps, 1.5e-8.
+    DETERMINED_RATIO = 1e-7, "Larger pivots and singular values, relative to the largest, determine dependent values."
+    REDUNDANCY_RTOL = 1e-7, "Redundant constraints are satisfied if they are below this fraction of their terms."
+    STATIC_PIVOT_RATIO = 0.25, "A static pivot order is used if pivots are at least this fraction of their row."
+
+
 class Needs(_Enum):
     """What a function of a kernel takes, besides time and parameters."""
 
@@ -75,7 +104,7 @@ class Role(_Enum):
         member._value_, member.needs, member.comment = len(cls.__members__), needs, comment
         return member
 
-    BREAKPOINTS = 0, "Times at which expressions have a jump or a kink."
+    BREAKPOINTS = 0, "Breakpoints, times at which expressions of time may have a jump or a kink."
     DEFAULT_INPUTS = 0, "The inputs' expressions; NaN for inputs without one."
     DYNAMICS = Needs.STATE | Needs.INPUTS, "q', M, f, J, gamma of M u' = f + J^T lambda, J u' + gamma = 0."
     POSITION = Needs.COORDINATES, "Holonomic constraints Phi(q, t) and dPhi/dq."
@@ -162,6 +191,7 @@ def enums_text() -> str:
         ("FB_VECTOR", VECTOR, "The columns of a vector."),
     )
     texts = [f"enum {{ {name} = {value} }}; /* {comment} */" for name, value, comment in constants]
+    texts += [f"#define FB_{bound.name} {float(bound)!r} /* {bound.comment} */" for bound in Threshold]
     for kind, name, prefix in ((Status, "FB_STATUS", "FB"), (Role, "FB_ROLE", "FB"), (Needs, "FB_NEEDS", "FB_NEEDS")):
         rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
         rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []

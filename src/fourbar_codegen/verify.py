@@ -21,26 +21,26 @@ from fourbar_codegen.dynamics.equations import Equations, results_of
 from fourbar_codegen.dynamics.random_states import close
 from fourbar_codegen.errors import BuildError, ModelError, SimulationError
 from fourbar_codegen.expressions.tape import Result, Scalar
-from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes
+from fourbar_codegen.kernel.dependent import INDEPENDENCE_RTOL, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.roles import Role
 
-__all__ = ["NEAR", "STATES", "verify"]
+__all__ = ["DISTANCES", "N_STATES", "verify"]
 
 Floats = NDArray[np.float64]
 
-STATES = 2
+N_STATES = 2
 """As many are compared, if there are."""
 STEP = 1e-4
-NEAR = (None,) * 4 + (0.1, 1e-2, 1e-3, 1e-4, 0.0)
+DISTANCES = (None,) * 4 + (0.1, 1e-2, 1e-3, 1e-4, 0.0)
 """Distances of the states from the initial values, which are needed where expressions have values only near these, or
 there alone."""
-CLOSURES = 16
+MAX_CLOSURES = 16
 PARTIALS = (Role.STATE_PARTIALS, Role.PARAMETER_PARTIALS, Role.INPUT_PARTIALS)
 OF_MOTION = ("coordinate_rates", "mass_matrix", "forcing", "constraint_jacobian", "acceleration_bias")
 # Both sides have different rounding errors, and terms may cancel. A wrong sign or symbol gives far larger differences.
-TOLERANCE = 1e-7
-ROUNDED = 1e-13
+COMPARISON_RTOL = 1e-7
+ROUNDING_RTOL = 1e-13
 """Relative rounding errors of a sum's terms, which are results of some hundred operations."""
 
 
@@ -82,7 +82,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
     """
     generator, formed = random.Random(0), _formed(equations, derivatives)
     compared = 0
-    for near in NEAR:
+    for near in DISTANCES:
         values = _random_values(equations, compiled, generator, near)
         for tangent in () if derivatives is None else derivatives.tangents:
             values.update((leaf, generator.uniform(-1.0, 1.0)) for leaf in tangent.direction)
@@ -96,7 +96,7 @@ def verify(compiled: Kernel, equations: Equations, derivatives: Derivatives | No
         _compare_solution(compiled, expected, values, equations)
         _check_identities(compiled, expected, values, equations)
         compared += 1
-        if compared == STATES:
+        if compared == N_STATES:
             break
     _check_rank(equations, compiled, generator)
     logging.getLogger("fourbar_codegen").info("%s: compared with its equations at %d states", compiled.name, compared)
@@ -162,7 +162,7 @@ def _compare(model: str, function: str, result: Result, got: Floats, expected: F
     finite = np.isfinite(expected)
     error = np.abs(np.subtract(got, expected, where=known & finite, out=np.zeros(result.shape)))
     size = 1.0 + np.abs(expected[finite]).max(initial=0.0)
-    agree = (error <= TOLERANCE * size) & (finite == np.isfinite(got)) | ~known
+    agree = (error <= COMPARISON_RTOL * size) & (finite == np.isfinite(got)) | ~known
     if not agree.all():
         _fail(model, f"function {function}, result {result.name},", got, expected)
 
@@ -183,7 +183,7 @@ def _compare_solution(
     inertia = expected["mass_matrix"] @ accelerations
     sizes = [np.abs(matrix) @ np.abs(accelerations) for matrix in (expected["mass_matrix"], mass, jacobian)]
     # Light parts have large accelerations, whose products with J cancel.
-    balance, auxiliary, constraints = (ROUNDED * float(size.max(initial=0.0)) for size in sizes)
+    balance, auxiliary, constraints = (ROUNDING_RTOL * float(size.max(initial=0.0)) for size in sizes)
     name, forcing = compiled.name, expected["forcing"] + effect + reactions
     _compare_sum(name, "M u' = f + J^T lambda", inertia, forcing, balance)
     _compare_sum(name, "Q - M_a u' + J_a^T lambda = 0", mass @ accelerations, rest + reaction @ multipliers, auxiliary)
@@ -239,7 +239,7 @@ def _check_identities(
     for what, function, rates in checks:
         found = changes(function)
         if found is not None:
-            _expect(compiled.name, what, found, rates, ROUNDED * terms)
+            _expect(compiled.name, what, found, rates, ROUNDING_RTOL * terms)
 
 
 def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> None:
@@ -254,7 +254,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
         return
     initial = compiled.layout.initial
     ranks = []
-    for _ in range(CLOSURES):
+    for _ in range(MAX_CLOSURES):
         values = _random_values(e, compiled, generator)
         t, (x, p, r, *_) = values[e.variables.time], _arrays(e, values)
         begin = x[: compiled.n_q] + [initial.get(name, 0.0) for name in compiled.coordinates]
@@ -263,7 +263,7 @@ def _check_rank(e: Equations, compiled: Kernel, generator: random.Random) -> Non
             continue
         jacobian, _ = compiled.velocity(t, np.concatenate((closed, np.zeros(compiled.n_x - compiled.n_q))), p, r)
         if np.isfinite(jacobian).all():
-            ranks.append(int(np.linalg.matrix_rank(jacobian / row_sizes(jacobian), rtol=INDEPENDENT)))
+            ranks.append(int(np.linalg.matrix_rank(jacobian / row_sizes(jacobian), rtol=INDEPENDENCE_RTOL)))
     if min(ranks, default=0) > compiled.layout.n_dependent_speeds:
         raise ModelError(compiled.too_few_dependent("at states that satisfy the position constraints", min(ranks)))
 

@@ -402,15 +402,15 @@ def test_drive_by_a_prescribed_motion_gives_the_branches_of_the_coordinate():
     linkage = mechanisms.crank_rocker()
     linkage.drive("O", speed=1.0)
     model = fb.compile_model(linkage.model())
-    by_input = model.kinematics({"drive_O": np.linspace(0.0, 2 * pi, 19)}, rates={"drive_O": 2.0})
+    wrt_input = model.kinematics({"drive_O": np.linspace(0.0, 2 * pi, 19)}, rates={"drive_O": 2.0})
     other = found_of(mechanisms.crank_rocker, np.linspace(0.0, 2 * pi, 19), rates={"q_OA": 2.0})
-    assert len(by_input) == len(other) == 2
-    np.testing.assert_allclose(by_input[0]["P"], other[0]["P"], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(by_input[0].accelerations["P"], other[0].accelerations["P"], rtol=0, atol=1e-10)
+    assert len(wrt_input) == len(other) == 2
+    np.testing.assert_allclose(wrt_input[0]["P"], other[0]["P"], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wrt_input[0].accelerations["P"], other[0].accelerations["P"], rtol=0, atol=1e-10)
     # The crank of 2 m at 2 rad/s, and the coupler of 7 m and rocker of 9 m about (6, 0).
-    angle, a, b = by_input.drive["drive_O"], by_input[0]["A"], by_input[0]["B"]
+    angle, a, b = wrt_input.drive["drive_O"], wrt_input[0]["A"], wrt_input[0]["B"]
     np.testing.assert_allclose(a[:2], [2 * np.cos(angle), 2 * np.sin(angle)], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(by_input[0].accelerations["A"], -4.0 * a, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(wrt_input[0].accelerations["A"], -4.0 * a, rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(b - a, axis=0), 7.0, rtol=0, atol=1e-12)
     np.testing.assert_allclose(np.hypot(b[0] - 6.0, b[1]), 9.0, rtol=0, atol=1e-12)
 

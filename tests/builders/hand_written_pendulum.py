@@ -25,7 +25,7 @@ def manifest(rows):
     of_motion = [x | mass | force | a_x | multipliers, y | gravity | mass | a_y | multipliers]
     of_constraint = x | y | u_x | u_y
     return {
-        "format": 19,
+        "format": 20,
         "name": "pendulum",
         "fingerprint": f"{rows:064x}",
         "coordinates": ["x", "y"],
@@ -43,7 +43,7 @@ def manifest(rows):
         "inputs": [{"name": "F", "expression": "0", "of": "F", "order": 0}],
         "moving_inputs": [],
         "n_breakpoints": 0,
-        "n_jumps": 0,
+        "n_motion_breakpoints": 0,
         "outputs": ["height", "tension"],
         "open_outputs": [],
         "position_constraints": {
@@ -74,7 +74,7 @@ def manifest(rows):
         "has_potential_energy": True,
         "energy_without": [],
         "form": "dense",
-        "jumps": [],
+        "state_jumps": [],
         "dependencies": {
             "coordinate_rates": [hex(u_x), hex(u_y)],
             "residual": [*map(hex, of_motion), *[hex(of_constraint | a_x | a_y)] * rows],

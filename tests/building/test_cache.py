@@ -336,7 +336,7 @@ def test_derivatives_are_compiled_at_their_first_use_and_not_by_explicit_runs(mo
         ("products", r"(residual_tangent\[1\] = )", r"\g<1>0.1 + ", "along a direction"),
         ("products", r"(gradient\[2\] = )", r"\g<1>0.1 + ", "product gradient of"),
         ("products", r"(velocity_tangent\[0\] = )", r"\g<1>0.1 + ", "product constraint violations"),
-        ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for several states side by side"),
+        ("batch", r"(forcing\[1\] = )", r"\g<1>1.1*", "for batches of states"),
     ],
 )
 def test_defect_of_a_part_compiled_later_is_found_and_not_kept(
@@ -345,7 +345,7 @@ def test_defect_of_a_part_compiled_later_is_found_and_not_kept(
     """What is compiled later is compared without SymPy, and not kept where it does not agree."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     sources = fb.generate_sources(slider())
-    sources["slider_batch.c"] = "#define FB_SIDE_BY_SIDE\n" + sources["slider_kernel.c"]  # as it includes it
+    sources["slider_batch.c"] = "#define FB_LANES\n" + sources["slider_kernel.c"]  # as it includes it
     original = sources[f"slider_{part}.c"]
     damaged, count = re.subn(pattern, replacement, original, count=1)
     assert count == 1
@@ -453,7 +453,7 @@ def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, 
 
 @pytest.mark.slow
 def test_batch_source_of_another_model_in_the_folder_is_not_used(tmp_path):
-    """Unknown forces are not found side by side; what is left of another model of the same name does not count."""
+    """Unknown forces are not found in lanes; what is left of another model of the same name does not count."""
     batch = tmp_path / "rod_batch.c"
     batch.write_text("of another model")
     model = fb.load(fb.build_model(model_of(rod(lambda normal: MU * normal, "rod")), tmp_path))

@@ -28,7 +28,7 @@ SOURCES = PROJECT / "generated" / "four_bar"
 STATE = [-0.5, -1.5, -1.5, -0.1, 0.07, -0.03]
 # Two implementations add in different orders; the condition of J_d is near 3 here, and rates are near 10.
 ROUNDING = {"rtol": 1e-13, "atol": 1e-13}
-# As many values as processors have side by side, and some more.
+# As many values as processors have lanes, and some more.
 EVALUATE = f"""
 import json, sys
 import numpy as np
@@ -41,7 +41,7 @@ print(json.dumps([four_bar.instructions, four_bar.rhs(0.3, x).tolist(), batch.to
 
 
 def evaluated(model, *command):
-    """Instructions, x' of one state, and of several side by side, in another process."""
+    """Instructions, x' of one state, and of a batch, in another process."""
     # NumPy's OpenBLAS takes what this names for the processor, whichever is emulated.
     environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_CORETYPE"}
     process = [*command, sys.executable, "-c", EVALUATE, str(model)]
@@ -70,7 +70,7 @@ def test_compile_model_without_a_compiler_uses_ziglang(monkeypatch, tmp_path, tu
     run = four_bar.simulate((0.0, 1.0), four_bar.initial_state(), rtol=1e-10, atol=1e-10)
     assert run.success
     assert np.abs(run.constraint_residual).max() < 1e-12
-    # Derivatives and what goes side by side are built later, and compared then.
+    # Derivatives and the functions for batches are built later, and compared then.
     assert four_bar.jacobian(0.3, STATE).shape == (6, 6)
     batch = four_bar.rhs_batch(0.3, np.stack([STATE] * 19, axis=1))
     np.testing.assert_allclose(batch.T, [tutorial.rhs(0.3, np.array(STATE))] * 19, **ROUNDING)

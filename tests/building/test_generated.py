@@ -84,7 +84,7 @@ def test_kernel_compiles_without_warnings(tmp_path, compiler, instructions, name
     program, *options = compiler.split()
     command = [require(program), *STRICTLY, *options, *instructions.split()]
     include = ["-I", fb.get_include()]
-    # Instruction sets matter to states side by side.
+    # Instruction sets matter to batches of states.
     for source in sorted(tmp_path.glob("*_batch.c" if instructions else "*.c")):
         done = subprocess.run([*command, *include, source, "-o", "/dev/null"], capture_output=True, text=True)
         assert done.returncode == 0, done.stderr

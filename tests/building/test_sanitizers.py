@@ -20,15 +20,15 @@ import fourbar_codegen as fb
 pytestmark = pytest.mark.slow
 
 # All functions of a kernel, what follows from independent values, a projected run by each method with interpolated
-# samples, and its derivatives forwards and backwards, Jacobians at several states, steps of one length, the equations
-# for implicit solvers, and, side by side on three threads, more states than there are lanes, more runs, with samples, a
-# table and an input held, and none at all.
+# samples, and its derivatives forwards and backwards, Jacobians at a batch of states, steps of one length, the
+# equations for implicit solvers, and, in batches on three threads, more states than there are lanes, more runs, with
+# samples, a table and an input held, and none at all.
 PROGRAM = """
 #include "fourbar_kernel.h"
 #include "fourbar_adjoint.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
-#include "fourbar_follow.h"
+#include "fourbar_dependent.h"
 #include "fourbar_forward.h"
 #include "fourbar_implicit.h"
 #include "fourbar_integrate.h"
@@ -100,10 +100,10 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->projection_vjp(k->functions, 0.5, x, c, r, gradient, work);
     sum += gradient[0];
     free(weights), free(gradient);
-    fb_follow follow = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
-    double *const memory = doubles((int)fb_place_follow(k, &follow, NULL));
-    fb_place_follow(k, &follow, memory);
-    sum += fb_follow_at(k, 0.5, x, c, r, &follow) + follow.corrections[0] + follow.directions[0];
+    fb_dependent dependent = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
+    double *const memory = doubles((int)fb_place_dependent(k, &dependent, NULL));
+    fb_place_dependent(k, &dependent, memory);
+    sum += fb_implicit_derivatives(k, 0.5, x, c, r, &dependent) + dependent.corrections[0] + dependent.directions[0];
     free(memory);
     k->toggled(work);
     k->project(0.5, x, c, r, 0, work);
@@ -165,7 +165,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
                           .sample_row = calloc(50, sizeof(long))};
         s.forward = &forward;
         s.vary = fb_forward_step;
-        s.vary_sample = fb_forward_sample;
+        s.sample_jvp = fb_forward_sample;
         s.steps = &steps;
         fb_keep_step(&s, 0.0);
         fb_begin(&s);
@@ -180,7 +180,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         }
         fb_adjoint adjoint;
         double *const memory = doubles((int)fb_place_adjoint(&s, &adjoint, NULL));
-        double *const weights = doubles(50 * k->n_o), *by_source = doubles(6);
+        double *const weights = doubles(50 * k->n_o), *wrt_source = doubles(6);
         double *const of_speeds = doubles(k->n_u), *const scratch = doubles(k->n_u + k->n_l);
         fb_place_adjoint(&s, &adjoint, memory);
         adjoint.jump.t_before = nextafter(table_times[1], 0.0);
@@ -195,16 +195,16 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         adjoint.rows = steps.rows;
         adjoint.sample_row = steps.sample_row;
         adjoint.sample_t = adjoint.output_t = steps.sample_t;
-        adjoint.by_states = samples;
-        adjoint.by_outputs = k->n_o ? weights : NULL;
-        adjoint.by_source = &by_source;
+        adjoint.wrt_states = samples;
+        adjoint.wrt_outputs = k->n_o ? weights : NULL;
+        adjoint.wrt_source = &wrt_source;
         long sample = s.n_samples;
         const double reached = s.x[0];
         problem.clock = fb_all_time;
         for (long row = steps.n - 1; row >= 0; --row)
-            fb_pull_back_step(&s, &adjoint, row, &sample);
+            fb_step_vjp(&s, &adjoint, row, &sample);
         free(varied), free(forward.samples), free(steps.rows), free(steps.sample_t), free(steps.sample_row);
-        free(memory), free(weights), free(by_source), free(changes), free(rate), free(of_speeds), free(scratch);
+        free(memory), free(weights), free(wrt_source), free(changes), free(rate), free(of_speeds), free(scratch);
         s.x[0] = reached;
     }
     const double end = s.x[0];
@@ -240,7 +240,7 @@ static double jacobians(const fb_kernel *k, const double *p, const double *x0)
     enum { N = 3 };
     const int n_y = k->n_x + k->n_l, sizes[3] = {k->n_x, k->n_p, k->n_r};
     double *const x = doubles(N * k->n_x), *const zero = doubles(N * (n_y + 1)), *const f = doubles(N * n_y);
-    double *const by_x = doubles(N * n_y * n_y), *const by_rate = doubles(N * n_y * n_y), t[N] = {0.0, 0.1, 0.2};
+    double *const by_x = doubles(N * n_y * n_y), *const wrt_rate = doubles(N * n_y * n_y), t[N] = {0.0, 0.1, 0.2};
     double *const by_p = doubles(N * n_y * k->n_p), *const by_r = doubles(N * n_y * k->n_r), sum = 0.0;
     char *const in_force = calloc((size_t)k->n_r + 1, 1);
     for (int i = 0; i < k->n_x; ++i)
@@ -259,11 +259,11 @@ static double jacobians(const fb_kernel *k, const double *p, const double *x0)
         free(b.of_rates), free(b.of_outputs);
     }
     b.of_rates = NULL;
-    b.residual = f, b.by_state = by_x, b.by_rate = by_rate, b.by_parameters = by_p, b.by_inputs = by_r;
+    b.residual = f, b.wrt_state = by_x, b.wrt_rate = wrt_rate, b.wrt_parameters = by_p, b.wrt_inputs = by_r;
     for (b.formulation = FB_INDEX_1; b.formulation <= FB_INDEX_3; b.formulation += FB_INDEX_3 - FB_INDEX_1)
         fb_evaluate_jacobians(&b, 0, N);
     sum += f[0] + by_x[0];
-    free(x), free(zero), free(f), free(by_x), free(by_rate), free(by_p), free(by_r), free(in_force);
+    free(x), free(zero), free(f), free(by_x), free(wrt_rate), free(by_p), free(by_r), free(in_force);
     return sum;
 }
 
@@ -404,7 +404,7 @@ MODELS = {
 
 CPUINFO = Path("/proc/cpuinfo")
 PROCESSOR = CPUINFO.read_text(encoding="utf-8").split() if CPUINFO.is_file() else []
-# What tells how many states stand side by side: 2, 4 or 8.
+# What tells the number of lanes: 2, 4 or 8.
 WIDTHS = [[], *([f"-m{words}"] for words in ("avx2", "avx512f") if words in PROCESSOR)]
 
 
@@ -432,7 +432,7 @@ class Program:
         return f"{path}.o"
 
     def run(self, flags, values):
-        """What it prints, with the functions for states side by side compiled with more flags."""
+        """What it prints, with the functions for batches of states compiled with more flags."""
         batch = [self.compiled(self.batch_functions, *flags)] if self.batch_functions.is_file() else []
         program = str(self.folder / "program")
         subprocess.run([*self.command, *self.objects, *batch, "-o", program, "-lm"], check=True)

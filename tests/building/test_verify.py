@@ -257,10 +257,10 @@ def test_derivatives_of_a_very_light_body_compile_and_equal_closed_forms(tmp_pat
         return [u, -9.81 * np.sin(q), v, -9.81 * np.cos(q) * s + 9.81 * np.sin(q)]
 
     alone = solve_ivp(rates, (0.0, 2.0), [1.0, 0.0, 0.0, 0.0], method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
-    by_length = run.sensitivity["l"][:, -1]
+    wrt_length = run.sensitivity["l"][:, -1]
     # The other one pulls with a millionth of a millionth; the derivative has the tolerance of the steps.
     np.testing.assert_allclose([run["q1"][-1], run["u1"][-1]], alone[:2], rtol=0, atol=1e-8)
-    np.testing.assert_allclose([by_length[0], by_length[2]], alone[2:], rtol=0, atol=1e-7)
+    np.testing.assert_allclose([wrt_length[0], wrt_length[2]], alone[2:], rtol=0, atol=1e-7)
     # The second one hangs on the first: m2 l [cos(q2 - q1) u1' + u2' - sin(q1 - q2) u1^2] = -m2 g sin(q2).
     x = np.array([0.3, -0.8, 0.5, 1.1])
     of_first, of_second = model.rhs(0.0, x)[2:]

@@ -249,11 +249,11 @@ def test_derivatives_of_splines_of_states_and_of_time_equal_scipys():
     compiled = fb.compile_model(model)
     p = compiled.parameter_vector(None)
     for x in (-0.9, -0.4, 0.1, 0.55, 0.95):
-        by_state, by_parameters, _ = compiled.vjp(x, [x, 0.3], [0.0, 1.0])
-        assert by_state == pytest.approx([-0.8 * SPLINE(x, 1) / 2, 0.0], rel=1e-11)
+        wrt_state, wrt_parameters, _ = compiled.vjp(x, [x, 0.3], [0.0, 1.0])
+        assert wrt_state == pytest.approx([-0.8 * SPLINE(x, 1) / 2, 0.0], rel=1e-11)
         rate = (x * SPLINE(0.8 * x, 1) - SPLINE(x)) / 2
         force = SPLINE(0.8 * x) - 0.8 * SPLINE(x)
-        assert by_parameters == pytest.approx([-force / 4, rate], rel=1e-11)
+        assert wrt_parameters == pytest.approx([-force / 4, rate], rel=1e-11)
         assert compiled.default_input_partials(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
 
 

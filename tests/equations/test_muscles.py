@@ -144,7 +144,7 @@ def test_activation_as_a_coordinate_gives_the_rates_of_a_state_equation():
     idle = me.Particle("idle", me.Point("I"), 1)
     idle.masscenter.set_vel(system.frame, dummy * system.frame.x)
     system.add_bodies(idle)
-    model = fb.compile_model(fb.Model(system, name="by_coordinates", parameters=lift.parameters))
+    model = fb.compile_model(fb.Model(system, name="wrt_coordinates", parameters=lift.parameters))
     assert (model.coordinates, model.auxiliary_states, model.inputs) == (("q", "a_biceps"), (), ("e_biceps",))
     q, u, a = lift.start()
     rates = model.rhs(0.0, [q, a, u, 0.0], r=[0.7])

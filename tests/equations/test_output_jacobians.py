@@ -1,4 +1,4 @@
-"""Derivatives of outputs by state, parameters and inputs, against closed forms by complex steps."""
+"""Derivatives of outputs with respect to state, parameters and inputs, against closed forms by complex steps."""
 
 import numpy as np
 import pytest

@@ -308,11 +308,11 @@ def test_jacobians_of_the_recursive_form_equal_differences(case):
         return np.array(columns).T
 
     for x in random_states(compiled, 3):
-        by_state = differences(lambda y: compiled.rhs(0.3, y), x)
-        by_parameters = differences(lambda values, x=x: compiled.rhs(0.3, x, values), p)
+        wrt_state = differences(lambda y: compiled.rhs(0.3, y), x)
+        wrt_parameters = differences(lambda values, x=x: compiled.rhs(0.3, x, values), p)
         for found, wanted in (
-            (compiled.jacobian(0.3, x), by_state),
-            (compiled.parameter_jacobian(0.3, x), by_parameters),
+            (compiled.jacobian(0.3, x), wrt_state),
+            (compiled.parameter_jacobian(0.3, x), wrt_parameters),
         ):
             np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-7 * np.abs(wanted).max())
 

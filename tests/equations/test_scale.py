@@ -290,7 +290,7 @@ def test_sparse_equations_with_a_loop_at_its_dead_point_hold_to_rounding():
         expected = np.linalg.solve(whole, np.concatenate((forcing, -bias)))
         found = np.concatenate(model.accelerations(0.0, state))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
-    # Side by side, lanes in which it is dead are left to the functions for single states.
+    # Lanes in which it is dead are left to the functions for single states.
     together = model.rhs_batch(0.0, np.column_stack(states))
     for rates, state in zip(together.T, states, strict=True):
         expected = model.rhs(0.0, state)

@@ -209,15 +209,15 @@ def test_state_equations_with_accelerations_and_multipliers_have_closed_form_rat
     generator = np.random.default_rng(0)
     for x in (x0, *generator.normal(size=(5, 6))):
         np.testing.assert_allclose(compiled.rhs(0.0, x), cartesian_rates(x), rtol=1e-13, atol=1e-13)
-        by_state = np.transpose([cartesian_rates(x + 1e-30j * unit).imag / 1e-30 for unit in np.eye(6)])
-        np.testing.assert_allclose(compiled.jacobian(0.0, x), by_state, rtol=1e-12, atol=1e-12)
+        wrt_state = np.transpose([cartesian_rates(x + 1e-30j * unit).imag / 1e-30 for unit in np.eye(6)])
+        np.testing.assert_allclose(compiled.jacobian(0.0, x), wrt_state, rtol=1e-12, atol=1e-12)
         columns = {"m": 1.3, "g": 9.81, "tau": 0.2}
-        by_parameters = np.transpose(
+        wrt_parameters = np.transpose(
             [cartesian_rates(x, **{name: value + 1e-30j}).imag / 1e-30 for name, value in columns.items()]
         )
         places = [compiled.parameters.index(name) for name in columns]
         found = compiled.parameter_jacobian(0.0, x)[:, places]
-        np.testing.assert_allclose(found, by_parameters, rtol=1e-12, atol=1e-12)
+        np.testing.assert_allclose(found, wrt_parameters, rtol=1e-12, atol=1e-12)
     states = generator.normal(size=(6, 19))
     expected = np.transpose([cartesian_rates(x) for x in states.T])
     np.testing.assert_allclose(compiled.rhs_batch(0.0, states), expected, rtol=1e-12, atol=1e-12)

@@ -234,12 +234,12 @@ def test_sliding_rod_has_the_rates_and_jacobians_of_the_closed_form():
         rates, normal = rods_rates(state, p)
         np.testing.assert_allclose(model.rhs(0.0, state), rates, rtol=1e-13, atol=1e-13)
         assert model.output(0.0, state)[0] == pytest.approx(normal, rel=1e-13)
-        by_state = complex_steps(lambda x: rods_rates(x, p)[0], state)
-        np.testing.assert_allclose(model.jacobian(0.0, state), by_state, rtol=1e-12, atol=1e-11)
-        by_parameters = complex_steps(lambda p, x=state: rods_rates(x, p)[0], p)
+        wrt_state = complex_steps(lambda x: rods_rates(x, p)[0], state)
+        np.testing.assert_allclose(model.jacobian(0.0, state), wrt_state, rtol=1e-12, atol=1e-11)
+        wrt_parameters = complex_steps(lambda p, x=state: rods_rates(x, p)[0], p)
         places = [model.parameters.index(name) for name in ("g", "m", "l", "J", "mu")]
         found = model.parameter_jacobian(0.0, state)[:, places]
-        np.testing.assert_allclose(found, by_parameters, rtol=1e-12, atol=1e-11)
+        np.testing.assert_allclose(found, wrt_parameters, rtol=1e-12, atol=1e-11)
 
 
 @pytest.mark.parametrize("method", METHODS)

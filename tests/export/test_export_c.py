@@ -121,8 +121,8 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
         check(rates, compiled.rhs(*at))
         check(matrix("jacobian", n), compiled.jacobian(*at))
         check(matrix("input_jacobian", n_r), compiled.input_jacobian(*at))
-        by_parameters = matrix("parameter_jacobian", n_p)
-        check(by_parameters, compiled.parameter_jacobian(*at))
+        wrt_parameters = matrix("parameter_jacobian", n_p)
+        check(wrt_parameters, compiled.parameter_jacobian(*at))
         accelerations, multipliers = np.zeros(compiled.n_u), np.zeros(compiled.n_l)
         assert library.call("solution", mechanism, accelerations, multipliers) == 0
         check(accelerations, rates[n_q : n_q + compiled.n_u])
@@ -157,8 +157,8 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
                 assert library.call("rhs", mechanism, t, x, both[side]) == 0
             mechanism.p[k] = p[k]
             difference = (both[0] - both[1]) / (2 * h)
-            size = np.abs(by_parameters).max() + np.abs(rates).max()
-            np.testing.assert_allclose(by_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
+            size = np.abs(wrt_parameters).max() + np.abs(rates).max()
+            np.testing.assert_allclose(wrt_parameters[:, k], difference, rtol=0, atol=1e-7 * size)
 
 
 @pytest.mark.slow
@@ -174,14 +174,14 @@ def test_c_library_differentiates_an_inputs_expression_unless_it_is_held(exporte
     """m u' = f - 9 q, where f is the push: du'/df = 1/m, unless the push is held."""
     compiled, library = exported("kinked")
     for held in (0, 1):
-        mechanism, by_parameters = library.new(), np.zeros((2, 2))
+        mechanism, wrt_parameters = library.new(), np.zeros((2, 2))
         mechanism.p[:], mechanism.t, mechanism.x[:] = [4.0, 2.0], 0.5, [0.1, 0.0]
         mechanism.held[0], mechanism.r[0] = held, 3.0
         assert library.call("update", mechanism) == 0
-        assert library.call("parameter_jacobian", mechanism, by_parameters) == 0
+        assert library.call("parameter_jacobian", mechanism, wrt_parameters) == 0
         push = 3.0 if held else 2.0
         expected = {"m": -(push - 0.9) / 16, "f": 0.0 if held else 0.25}
-        np.testing.assert_allclose(by_parameters[1], [expected[name] for name in compiled.parameters], rtol=1e-15)
+        np.testing.assert_allclose(wrt_parameters[1], [expected[name] for name in compiled.parameters], rtol=1e-15)
 
 
 @pytest.mark.slow(but=["four_bar"])
@@ -550,7 +550,7 @@ def test_export_twice_gives_equal_texts_without_global_variables(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("optimization", ["-Os", "-O3"])
 def test_c_library_without_inputs_compiles_without_warnings(tmp_path, optimization):
-    """gcc follows arrays without entries, such as those of the derivatives by inputs, into functions."""
+    """gcc follows arrays without entries, such as those of the derivatives with respect to inputs, into functions."""
     folder = fb.export_c(fb.models.chain(5), tmp_path)
     for source in folder.glob("*.c"):
         subprocess.run([require("gcc"), *STRICT, optimization, "-c", source, "-o", os.devnull], check=True)

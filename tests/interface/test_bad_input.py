@@ -203,7 +203,7 @@ TABLE = {
         ({"sensitivities": ["k"], "inputs": {"F": lambda t, x: 1.0}}, "callable, whose derivatives are not known"),
         ({"sensitivities": ["k"], "dx0": {"k": np.zeros(6)}}, "x0, which is not given"),
         ({"sensitivities": ["k"], "x0": X0, "dx0": {"k": np.zeros(5)}}, "must have shape"),
-        ({"sensitivities": ["k"], "x0": X0, "dx0": {"c": np.zeros(6)}}, "no name to differentiate by 'c'"),
+        ({"sensitivities": ["k"], "x0": X0, "dx0": {"c": np.zeros(6)}}, "no name to differentiate with respect to 'c'"),
         (
             {"sensitivities": ["F"], "x0": X0, "inputs": {"F": ([0.0, 1.0], [1.0, 2.0])}, "dx0": {"F": np.zeros(6)}},
             "of the shape (2, 6), not (6,)",

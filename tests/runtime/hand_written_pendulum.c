@@ -4,8 +4,8 @@
  *   Phi = x^2 + y^2 - l^2 = 0, so that J = (2 x, 2 y) and gamma = 2 (u_x^2 + u_y^2).
  *   M = diag(m, m), f = (F, -m g); outputs: height y + l, and tension -2 l lambda.
  *
- * With -DTWICE the constraint is written twice, so that one of its rows is redundant. With -DFB_SIDE_BY_SIDE these are
- * the functions for several states side by side. fourbar_model.h solves the equations.
+ * With -DTWICE the constraint is written twice, so that one of its rows is redundant. With -DFB_LANES these are
+ * the functions for batches of states. fourbar_model.h solves the equations.
  */
 #include "fourbar_kernel.h"
 #include "fourbar_real.h"
@@ -38,7 +38,7 @@ enum { LENGTH, GRAVITY, MASS, WEIGHT };
 
 #define FB_TABLE(name) pendulum_##name
 #define FB_DERIVATIVES pendulum_derivatives
-#ifndef ALONE /* without functions for several states */
+#ifndef ALONE /* without functions for batches of states */
 #define FB_HAS_BATCH_FUNCTIONS
 #endif
 #define FB_INSTRUCTIONS FB_BASELINE
@@ -126,8 +126,8 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
     result[1] = change[1];
 }
 
-#ifdef FB_SIDE_BY_SIDE
-#include "fourbar_side_by_side.h"
+#ifdef FB_LANES
+#include "fourbar_lanes.h"
 #else
 static void breakpoints(double t, const double *restrict constants, double *restrict times)
 {
@@ -198,11 +198,11 @@ static void state_rates(double t, const double *x, const double *constants, cons
 }
 
 static void unknown_forces(double t, const double *x, const double *constants, const double *r, const double *forces,
-                           double *effect, double *by_forces, double *rest, double *rest_by_forces, double *mass,
+                           double *effect, double *wrt_forces, double *rest, double *rest_wrt_forces, double *mass,
                            double *jacobian)
 {
     (void)t, (void)x, (void)constants, (void)r, (void)forces;
-    (void)by_forces, (void)rest, (void)rest_by_forces, (void)mass, (void)jacobian;
+    (void)wrt_forces, (void)rest, (void)rest_wrt_forces, (void)mass, (void)jacobian;
     effect[0] = effect[1] = 0.0;
 }
 
@@ -328,13 +328,13 @@ static void default_input_partials(double t, const double *constants, double *ja
 }
 
 static void constraint_partials(double t, const double *x, const double *constants, const double *r,
-                                double *velocity_jacobian, double *by_input, double *velocity_by_input)
+                                double *velocity_jacobian, double *wrt_input, double *velocity_by_input)
 {
     (void)t, (void)constants, (void)r;
     for (int k = 0; k < N_C; ++k) {
         velocity_jacobian[2 * k] = 2.0 * x[2];
         velocity_jacobian[2 * k + 1] = 2.0 * x[3];
-        by_input[k] = velocity_by_input[k] = 0.0;
+        wrt_input[k] = velocity_by_input[k] = 0.0;
     }
 }
 
@@ -363,14 +363,14 @@ static void output_input_partials(double t, const double *x, const double *const
 }
 
 static void output_solution_partials(double t, const double *x, const double *constants, const double *r,
-                                     const double *a, const double *multipliers, double *by_accelerations,
-                                     double *by_multipliers)
+                                     const double *a, const double *multipliers, double *wrt_accelerations,
+                                     double *wrt_multipliers)
 {
     (void)t, (void)x, (void)r, (void)a, (void)multipliers;
-    memset(by_accelerations, 0, N_O * N_U * sizeof(double));
+    memset(wrt_accelerations, 0, N_O * N_U * sizeof(double));
     for (int k = 0; k < N_C; ++k) {
-        by_multipliers[k] = 0.0;
-        by_multipliers[N_C + k] = -2.0 * constants[LENGTH];
+        wrt_multipliers[k] = 0.0;
+        wrt_multipliers[N_C + k] = -2.0 * constants[LENGTH];
     }
 }
 
@@ -396,10 +396,10 @@ static void motion(double t, const double *x, const double *constants, const dou
 }
 
 static void state_rate_partials(double t, const double *x, const double *constants, const double *r, const double *a,
-                                const double *multipliers, double *by_accelerations, double *by_multipliers)
+                                const double *multipliers, double *wrt_accelerations, double *wrt_multipliers)
 {
-    (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers, (void)by_accelerations;
-    (void)by_multipliers;
+    (void)t, (void)x, (void)constants, (void)r, (void)a, (void)multipliers, (void)wrt_accelerations;
+    (void)wrt_multipliers;
 }
 
 CALL(drawing, OF_STATE, results[0], results[1])
@@ -434,13 +434,13 @@ const fb_part pendulum_derivatives = {
                 ROW(constraint_partials, STATE, MATRIX(velocity_jacobian, N_C, N_Q),
                     MATRIX(position_input_jacobian, N_H, N_R), MATRIX(velocity_input_jacobian, N_C, N_R)),
             [FB_STATE_RATE_PARTIALS] =
-                ROW(state_rate_partials, SOLVED, MATRIX(by_accelerations, 0, N_U), MATRIX(by_multipliers, 0, N_C)),
+                ROW(state_rate_partials, SOLVED, MATRIX(wrt_accelerations, 0, N_U), MATRIX(wrt_multipliers, 0, N_C)),
             [FB_OUTPUT_STATE_PARTIALS] = ROW(output_state_partials, SOLVED, MATRIX(output_jacobian, N_O, N_X)),
             [FB_OUTPUT_PARAMETER_PARTIALS] =
                 ROW(output_parameter_partials, SOLVED, MATRIX(output_parameter_jacobian, N_O, N_P)),
             [FB_OUTPUT_INPUT_PARTIALS] = ROW(output_input_partials, SOLVED, MATRIX(output_input_jacobian, N_O, N_R)),
-            [FB_OUTPUT_SOLUTION_PARTIALS] = ROW(output_solution_partials, SOLVED, MATRIX(by_accelerations, N_O, N_U),
-                                                MATRIX(by_multipliers, N_O, N_C)),
+            [FB_OUTPUT_SOLUTION_PARTIALS] = ROW(output_solution_partials, SOLVED, MATRIX(wrt_accelerations, N_O, N_U),
+                                                MATRIX(wrt_multipliers, N_O, N_C)),
         },
 };
 

@@ -1,3 +1,3 @@
-/* The pendulum's functions for several states side by side. */
-#define FB_SIDE_BY_SIDE
+/* The pendulum's functions for batches of states. */
+#define FB_LANES
 #include "hand_written_pendulum.c"

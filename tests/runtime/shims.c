@@ -2,7 +2,7 @@
 #include "fourbar_angle.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
-#include "fourbar_jumps.h"
+#include "fourbar_velocity_jump.h"
 
 #include <stdlib.h>
 
@@ -66,7 +66,7 @@ double time_within(double origin, double first, double last, double since)
 
 double entry(const double *values, int stride, int row, int i)
 {
-    const fb_columns columns = {values, stride};
+    const fb_batch_array columns = {values, stride};
     return fb_entry(&columns, row, i);
 }
 
@@ -346,8 +346,8 @@ int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double
     return found;
 }
 
-/* fourbar_jumps.h: for u' = A r + b with two speeds and four inputs r, of which the last two are second derivatives of
- * motions, and the first two their rates, 10 t + i before a jump at t = 1 and i^2 after it. */
+/* fourbar_velocity_jump.h: for u' = A r + b with two speeds and four inputs r, of which the last two are second
+ * derivatives of motions, and the first two their rates, 10 t + i before a jump at t = 1 and i^2 after it. */
 
 enum { JUMP_SPEEDS = 2, JUMP_INPUTS = 4 };
 
@@ -380,7 +380,7 @@ int speed_jump(const double *matrix, double t_before, double t_after, double *of
     const fb_kernel kernel = {
         .n_u = JUMP_SPEEDS, .n_r = JUMP_INPUTS, .accelerations = jump_accelerations, .default_inputs = jump_inputs};
     fb_problem problem = {.kernel = &kernel, .inputs = inputs, .clock = fb_all_time};
-    fb_jump jump = {t_before, t_after, rate, before, change_of_rates};
+    fb_velocity_jump jump = {t_before, t_after, rate, before, change_of_rates};
     jump_matrix = matrix;
     return fb_speed_jump(&problem, &jump, x, of_speeds, scratch);
 }

@@ -42,8 +42,8 @@ enum { N_MASS = N_U + 2 * N_U * N_U };
         }                                                                                                              \
     }
 PRODUCT(mass_solve, double, 0)
-PRODUCT(mass_solve_many, fb_many, 0)
-PRODUCT(mass_product, fb_many, 1)
+PRODUCT(mass_solve_simd, fb_simd, 0)
+PRODUCT(mass_product, fb_simd, 1)
 #include "fourbar_recursive.h"
 
 #else
@@ -123,7 +123,7 @@ int pull_back_forces(law_of *given, const double *rows, const double *mass, cons
     if (status != FB_OK || !fb_evaluate_forces(0.0, NULL, NULL, NULL, forces, &response))
         return status != FB_OK ? status : FB_NOT_FINITE;
     fb_form_response(mass, &factors, &response);
-    return fb_pull_back_forces(&response, of_accelerations, of_multipliers, of_rows);
+    return fb_forces_vjp(&response, of_accelerations, of_multipliers, of_rows);
 }
 #endif
 

@@ -41,12 +41,12 @@ def test_a_coordinate_beyond_the_circle_is_not_closed(closing):
 
 
 def test_a_guess_where_newtons_method_has_no_direction_is_not_closed(closing):
-    """At y = 0 the derivative by y is zero."""
+    """At y = 0 the derivative with respect to y is zero."""
     assert close(closing, 0.6, 0.0)[0] == NOT_CLOSED
 
 
 def test_a_speed_that_no_constraint_determines_is_reported(closing):
-    """At x = l, y = 0 the position is closed, and the derivative by y is zero."""
+    """At x = l, y = 0 the position is closed, and the derivative with respect to y is zero."""
     assert close(closing, 1.0, 0.0, u_x=1.0)[0] == DEPENDENT
 
 

@@ -14,7 +14,7 @@ import pytest
 
 ROUNDING = np.finfo(float).eps / 2.0
 DETERMINED = 1e-10
-"""FB_DETERMINED: pivots up to it count as zero in `fb_eliminate_rows`."""
+"""FB_CLOSURE_PIVOT_RATIO: pivots up to it count as zero in `fb_eliminate_rows`."""
 
 
 def solved(matrix, side):

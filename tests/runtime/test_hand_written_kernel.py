@@ -40,7 +40,7 @@ def outputs(x, p, r):
 
 
 def derivatives(function, x, p, r):
-    """Those by x, p and r, of the shapes (n, 4), (n, 3) and (n, 1)."""
+    """Those with respect to x, p and r, of the shapes (n, 4), (n, 3) and (n, 1)."""
     point = np.concatenate((x, p, r)).astype(complex)
     columns = []
     for i in range(len(point)):

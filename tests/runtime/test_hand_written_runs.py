@@ -34,8 +34,8 @@ def neighbours(motion, t):
         (t - step, t + step),
     )
     by_size = np.subtract(*[other.angles(t) for other in sizes[::-1]])
-    by_time = np.subtract(*[motion.angles(moment) for moment in moments[::-1]])
-    return np.moveaxis(np.array([by_size, by_time]) / (2.0 * step), (0, 1, 2), (2, 1, 0))
+    wrt_time = np.subtract(*[motion.angles(moment) for moment in moments[::-1]])
+    return np.moveaxis(np.array([by_size, wrt_time]) / (2.0 * step), (0, 1, 2), (2, 1, 0))
 
 
 def bound(run, motion, steps=None):
@@ -321,7 +321,7 @@ def by_gravity(model, motion, t):
     return np.concatenate((rates[:2] * t, x[2:] + rates[2:] * t)) / (2.0 * motion.gravity)
 
 
-def by_length(model, motion, t):
+def wrt_length(model, motion, t):
     """Positions are l times functions of w t, and speeds l w times such."""
     x, rates = motion.states(t), motion_rates(model, motion, t)
     return np.concatenate((x[:2] - rates[:2] * t / 2.0, x[2:] / 2.0 - rates[2:] * t / 2.0)) / motion.length
@@ -356,7 +356,7 @@ def test_sensitivities_of_a_swing_are_derivatives_of_the_elliptic_functions(eith
     expected = {
         "g": by_gravity(either_pendulum, motion, TIMES),
         "m": np.zeros((4, 4)),
-        "l": by_length(either_pendulum, motion, TIMES),
+        "l": wrt_length(either_pendulum, motion, TIMES),
         "x": closed_form_slopes(motion, TIMES) / (LENGTH * np.cos(1.9)),
     }
     limit = slope_limit(run, motion, len(run.sol))
@@ -364,7 +364,8 @@ def test_sensitivities_of_a_swing_are_derivatives_of_the_elliptic_functions(eith
         size = max(np.abs(slopes).max(), 1.0)
         np.testing.assert_allclose(run.sensitivity[name], slopes, rtol=0.0, atol=limit * size, err_msg=name)
         if name != "l":
-            # They are moved onto the tangent of the circle: of their violation, 1e-9 or so remains; see FB_SLIGHT.
+            # They are moved onto the tangent of the circle: of their violation, 1e-9 or so remains; see
+            # FB_SLIGHT_DRIFT_RTOL.
             q, u, (by_q, by_u) = run.y[:2], run.y[2:], np.split(run.sensitivity[name], 2)
             np.testing.assert_allclose((q * by_q).sum(axis=0), 0.0, atol=1e-13 * size)
             np.testing.assert_allclose((u * by_q + q * by_u).sum(axis=0), 0.0, atol=1e-12 * size)
@@ -404,8 +405,8 @@ def test_the_gradient_backwards_is_that_of_the_elliptic_functions(either_pendulu
 
 @pytest.mark.parametrize("method", EXPLICIT)
 def test_the_gradient_of_the_distance_from_the_pivot_is_that_of_the_length(pendulum, method):
-    """(x^2 + y^2) / 2 = l^2 / 2 at any time, since projections move the given x0 as well: up to FB_SLIGHT of what the
-    steps leave. And its rate, x u_x + y u_y, is 0.
+    """(x^2 + y^2) / 2 = l^2 / 2 at any time, since projections move the given x0 as well: up to FB_SLIGHT_DRIFT_RTOL of
+    what the steps leave. And its rate, x u_x + y u_y, is 0.
     """
     motion = Swing(1.9)
     run = pendulum.simulate(
@@ -452,8 +453,8 @@ def test_derivatives_by_a_force_are_those_of_the_tilted_motion(pendulum, method,
 @pytest.mark.parametrize("method", EXPLICIT)
 @pytest.mark.parametrize("kind", ["hold", "linear", "cubic"])
 def test_derivatives_by_values_of_a_table_are_those_of_the_equation_of_the_angle(pendulum, method, kind):
-    """Forwards and backwards. SciPy integrates m l a'' = F cos a - m g sin a and its derivatives by the values. Each of
-    them changes F by a function of time: piece by piece, since these may jump.
+    """Forwards and backwards. SciPy integrates m l a'' = F cos a - m g sin a and its derivatives with respect to the
+    values. Each of them changes F by a function of time: piece by piece, since these may jump.
     """
     times, values = np.array([0.0, 0.4, 0.9, 1.5]), np.array([3.0, -4.0, 6.0, 2.0])
     spline = CubicSpline(times, np.eye(4))
@@ -467,20 +468,20 @@ def test_derivatives_by_values_of_a_table_are_those_of_the_equation_of_the_angle
         return np.eye(4)[np.searchsorted(times, begin, side="right") - 1]
 
     def rates(t, y, begin):
-        a, a_rate, by, by_rate = y[0], y[1], y[2:6], y[6:]
+        a, a_rate, by, wrt_rate = y[0], y[1], y[2:6], y[6:]
         w, unit = weights(t, begin), MASS * LENGTH
         sine, cosine, force = np.sin(a), np.cos(a), weights(t, begin) @ values
         slope = -(force * sine + MASS * GRAVITY * cosine) / unit
         acceleration = (force * cosine - MASS * GRAVITY * sine) / unit
-        return np.concatenate(([a_rate, acceleration], by_rate, slope * by + w * cosine / unit))
+        return np.concatenate(([a_rate, acceleration], wrt_rate, slope * by + w * cosine / unit))
 
     y = np.concatenate(([1.2, 0.0], np.zeros(8)))
     for begin, end in pairwise(times):
         y = solve_ivp(rates, (begin, end), y, method="DOP853", rtol=1e-11, atol=1e-12, args=(begin,)).y[:, -1]
-    a, a_rate, by, by_rate = y[0], y[1], y[2:6], y[6:]
+    a, a_rate, by, wrt_rate = y[0], y[1], y[2:6], y[6:]
     sine, cosine = np.sin(a), np.cos(a)
-    slopes = LENGTH * np.array([cosine * by, sine * by, cosine * by_rate - a_rate * sine * by,
-                                sine * by_rate + a_rate * cosine * by])  # fmt: skip
+    slopes = LENGTH * np.array([cosine * by, sine * by, cosine * wrt_rate - a_rate * sine * by,
+                                sine * wrt_rate + a_rate * cosine * by])  # fmt: skip
     run = pendulum.simulate(
         (0.0, 1.5), states_at(LENGTH, 1.2, 0.0), method=method, inputs={"F": (times, values, kind)}, t_eval=[1.5],
         rtol=1e-11, atol=1e-12, sensitivities=["F"], gradient=True,
@@ -502,7 +503,7 @@ def test_derivatives_of_the_force_in_the_rod_are_those_of_its_closed_form(either
     )  # fmt: skip
     share = 3.0 * -motion.states(TIMES)[1] / LENGTH - 2.0 * np.cos(1.9)
     by_g = MASS * share - 3.0 * MASS * GRAVITY / LENGTH * by_gravity(either_pendulum, motion, TIMES)[1]
-    y, by = motion.states(TIMES)[1], by_length(either_pendulum, motion, TIMES)[1]
+    y, by = motion.states(TIMES)[1], wrt_length(either_pendulum, motion, TIMES)[1]
     by_l = 3.0 * MASS * GRAVITY * (y / LENGTH - by) / LENGTH
     limit = 3.0 * MASS * GRAVITY / LENGTH * slope_limit(run, motion, run.nfev // 6)
     place, weights = either_pendulum.outputs.index("tension"), np.array([1.0, -2.0, 0.5, 3.0])

@@ -27,13 +27,13 @@ def has(flag):
         return False
 
 
-@pytest.fixture(scope="module", params=["single", "side by side", "avx2", "side by side, avx2"])
+@pytest.fixture(scope="module", params=["single", "lanes", "avx2", "lanes, avx2"])
 def sines(request, shared):
     """The functions for single angles or for vectors, with and without fused multiplication."""
     avx2 = "avx2" in request.param
     if avx2 and not (has("avx2") and has("fma")):
         pytest.skip("the processor has no AVX2")
-    source = "shims_side_by_side.c" if "side" in request.param else "shims.c"
+    source = "shims_of_lanes.c" if "lanes" in request.param else "shims.c"
     return Shims(shared("sines", source, options=("-mavx2", "-mfma") if avx2 else ()))
 
 

@@ -242,7 +242,7 @@ def test_the_static_order_is_taken_only_if_its_pivots_are_large(solvers):
 
 @pytest.mark.parametrize(("unit", "kind"), [(1e-5, 1), (1e-7, 0)])
 def test_the_static_order_is_taken_only_if_rows_have_similar_units(solvers, unit, kind):
-    """FB_NEAR_DEPENDENCE = 1e-6: a smaller row may be what is left of two dependent ones."""
+    """FB_NEAR_DEPENDENCE_RTOL = 1e-6: a smaller row may be what is left of two dependent ones."""
     solver = solvers("dense")
     M, _, f, gamma = random_system(solver, 3)
     J = np.array([[unit, 0.5 * unit, 0.0, 0.0, 0.0], [0.0, 0.0, 0.5, 1.0, 0.0]])
@@ -391,7 +391,7 @@ def test_redundant_constraints_have_the_accelerations_without_them_and_the_short
 
 @pytest.mark.parametrize(("error", "status"), [(1e-2, DEPENDENT), (1e-5, OK)])
 def test_redundant_rows_must_be_satisfied_up_to_the_drift_of_a_run(solvers, error, status):
-    """FB_DRIFT_TOLERANCE = 1e-3 of gamma, whose entries are about 1 here."""
+    """FB_DRIFT_RTOL = 1e-3 of gamma, whose entries are about 1 here."""
     M, J, f, gamma, _ = redundant(1)
     gamma[2] += error
     assert solvers("redundant").solve(M, J, f, gamma).status == status
@@ -460,7 +460,7 @@ def test_the_signed_pivot_is_the_least_pivot_in_the_units_of_the_run(solvers):
 
 @pytest.mark.parametrize(("difference", "expected"), [(1e-3, 0), (1e-7, 1), (0.0, 1)])
 def test_a_jacobian_close_to_losing_rank_is_told_by_its_least_pivot(solvers, difference, expected):
-    """FB_CLOSE_BY = 1e-5 of the largest of the run, 1 here."""
+    """FB_NEAR_SINGULAR_RATIO = 1e-5 of the largest of the run, 1 here."""
     solver = solvers("dense")
     J = np.array([[1.0, 0.5, 0.0, 0.0, 0.0], [1.0, 0.5 + difference, 0.0, 0.0, 0.0]])
     assert solver.shims.is_close_by(J, 1.0) == expected
@@ -541,7 +541,7 @@ def test_forces_with_friction_satisfy_their_equations(forced, seed):
     status, u, multipliers = with_forces(forced, forces, M, J, f, gamma)
     assert status == OK
     n, effect, forcing = multipliers[2:], law(multipliers[2:])[0], law(multipliers[2:])[2]
-    # FB_BALANCED = 1e-13 of the terms, which are below 100.
+    # FB_FORCES_RTOL = 1e-13 of the terms, which are below 100.
     np.testing.assert_allclose(M @ u - f - effect - J.T @ multipliers[:2], 0.0, atol=1e-11)
     np.testing.assert_allclose(J @ u + gamma, 0.0, atol=1e-12)
     np.testing.assert_allclose(forcing - forces.M_a @ u + forces.J_a @ multipliers[:2], 0.0, atol=1e-11)

@@ -1,4 +1,4 @@
-"""Jacobians and residuals at many states: against single states, differences, and one another."""
+"""Jacobians and residuals at a batch of states: against single states, differences, and one another."""
 
 import numpy as np
 import pytest

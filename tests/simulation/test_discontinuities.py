@@ -401,7 +401,7 @@ def test_motions_with_kinks_at_unknown_times_are_refused(expression, how):
 def test_motion_with_a_root_that_never_vanishes_has_no_jumps():
     """Most roots are: that of a crank's slider is known to have no kink only by its numbers."""
     model = compiled(s, sm.cos(3 * t) / 5 + sm.sqrt(sm.Rational(1, 4) - sm.sin(3 * t) ** 2 / 25))
-    assert model.manifest["n_jumps"] == 0
+    assert model.manifest["n_motion_breakpoints"] == 0
     assert model.simulate((0.0, 1.0), [0.3, 0.0]).success
 
 

@@ -1,4 +1,4 @@
-"""Many states and many runs at once: the same as one by one, whatever stands beside them."""
+"""Batches of states and ensembles of runs: the same as one by one, whatever stands beside them."""
 
 import multiprocessing
 import subprocess

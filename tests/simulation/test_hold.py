@@ -24,7 +24,7 @@ def free():
 
 
 def changes(t):
-    """The derivatives of x and v, from rest at t = 0, by the values of the table, shape (4, 2, n_t)."""
+    """The derivatives of x and v, from rest at t = 0, with respect to the values of the table, shape (4, 2, n_t)."""
     begins, ends = np.array([0.0, *TIMES[1:]]), np.array([*TIMES[1:], np.inf])
     since, until = (np.maximum(t - at[:, np.newaxis], 0.0) for at in (begins, ends))
     return np.stack([since**2 - until**2, 2.0 * (since - until)], axis=1) / (2.0 * MASS)

@@ -37,8 +37,8 @@ def test_jax_derivatives_of_the_rates_equal_the_compiled_ones_in_both_modes(four
         np.testing.assert_array_equal(found[1], four_bar.parameter_jacobian(0.0, x, p, r))
         np.testing.assert_array_equal(found[2], four_bar.input_jacobian(0.0, x, p, r))
     for mode in (jax.jacfwd, jax.jacrev):  # F = 100 sin(pi t)
-        by_time = four_bar.input_jacobian(0.1, x)[:, 0] * 100.0 * np.pi * np.cos(0.1 * np.pi)
-        np.testing.assert_allclose(mode(rhs)(0.1, x), by_time, rtol=1e-8)  # differences over 1e-5 s
+        wrt_time = four_bar.input_jacobian(0.1, x)[:, 0] * 100.0 * np.pi * np.cos(0.1 * np.pi)
+        np.testing.assert_allclose(mode(rhs)(0.1, x), wrt_time, rtol=1e-8)  # differences over 1e-5 s
     states = np.tile(x, (7, 1)) * np.linspace(0.9, 1.1, 7)[:, np.newaxis]
     expected = four_bar.rhs_batch(0.0, states.T).T
     np.testing.assert_array_equal(jax.vmap(lambda x: rhs(0.0, x))(states), expected)
@@ -82,9 +82,9 @@ def test_jax_derivatives_pass_through_the_expression_of_an_input():
     model = fb.compile_model(driven_oscillator(parameters={"a": 3.0}, force=a * sm.sin(2 * t)))
     x, p = np.array([0.1, 0.2]), np.array([*model.defaults.values()])
     for mode in (jax.jacfwd, jax.jacrev):
-        by_time, by_parameters = mode(fb.to_jax(model).rhs, argnums=(0, 2))(0.3, x, p)
-        np.testing.assert_allclose(by_time, [0.0, 3.0 * np.cos(0.6)], rtol=1e-8)  # 6 cos(2 t) / m; over 1e-5 s
-        np.testing.assert_allclose(by_parameters, model.parameter_jacobian(0.3, x), rtol=1e-13)
+        wrt_time, wrt_parameters = mode(fb.to_jax(model).rhs, argnums=(0, 2))(0.3, x, p)
+        np.testing.assert_allclose(wrt_time, [0.0, 3.0 * np.cos(0.6)], rtol=1e-8)  # 6 cos(2 t) / m; over 1e-5 s
+        np.testing.assert_allclose(wrt_parameters, model.parameter_jacobian(0.3, x), rtol=1e-13)
     simulate = fb.to_jax(model).simulation((0.0, 1.0), TIMES)
     assert np.isnan(simulate({"k": np.nan})["x"]).all()
 

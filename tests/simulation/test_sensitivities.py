@@ -23,7 +23,7 @@ from scipy.optimize import brentq
 from scipy.special import ellipe, ellipk
 
 import fourbar_codegen as fb
-from fourbar_codegen.kernel.sensitivity import corrected, directions_of, follow
+from fourbar_codegen.kernel.sensitivity import corrected, directions_of, implicit_derivatives
 
 STEPS = {"closed_chain_8": 3e-4}
 """Of differences, relative, where the error of the order is larger than with the usual 1e-3."""
@@ -90,7 +90,7 @@ def test_sensitivities_of_runs_without_projection_equal_differences_of_runs(case
     for name in names:
         value = value_of(model, name, coordinates, speeds)
         wanted = differences(lambda v, name=name: run(name, v), value, STEPS.get(model.name, 1e-3))
-        # Dependent initial values follow as in the run that begins without x0.
+        # Dependent initial values implicit_derivatives as in the run that begins without x0.
         found = model.simulate((0.0, AT[-1]), x0, sensitivities=[name], dx0={name: by[name]}, **tight)
         size = np.abs(wanted).max()
         np.testing.assert_allclose(found.sensitivity[name], wanted, rtol=0, atol=1e-8 * size)
@@ -154,7 +154,7 @@ def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(
     given = start(model, coordinates, speeds)
     directions, p = directions_of(model, names), model.parameter_vector(given["parameters"])
     x0 = model.initial_state(**given)
-    matrix = follow(model, 0.0, x0, directions, p, None)
+    matrix = implicit_derivatives(model, 0.0, x0, directions, p, None)
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     for k, name in enumerate(names):
         change = 1e-2 * (value_of(model, name, coordinates, speeds) or 1.0)
@@ -171,7 +171,8 @@ def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(
 
 
 def test_states_of_changed_values_near_singular_positions_are_not_predicted(four_bar):
-    """Where coupler and rocker cover each other, the crank can go no further, and their motion does not follow."""
+    """Where coupler and rocker cover each other, the crank can go no further, and their motion does not
+    implicit_derivatives."""
     p = four_bar.parameter_vector({"l4": 0.6})
     ground, crank, coupler, rocker = (dict(zip(four_bar.parameters, p, strict=True))[f"l{i}"] for i in (1, 2, 3, 4))
     limit = np.pi - np.arccos((ground**2 + crank**2 - (coupler - rocker) ** 2) / (2.0 * ground * crank))
@@ -262,11 +263,11 @@ def test_gradients_of_joint_forces_equal_the_chain_rule_and_forward_mode():
             wanted = wanted + (cost[output] * of_outputs[name][..., row, :]).sum(axis=-1)
         np.testing.assert_allclose(gradient[name], wanted, rtol=0, atol=1e-11 * max(1.0, np.abs(wanted).max()))
     for place, (t, x, r) in enumerate(zip(run.t, run.y.T, run.r.T, strict=True)):
-        by_state, by_parameters = model.output_jacobian(t, x, r=r), model.output_parameter_jacobian(t, x, r=r)
+        wrt_state, wrt_parameters = model.output_jacobian(t, x, r=r), model.output_parameter_jacobian(t, x, r=r)
         for name in parameters:
-            wanted = by_state @ run.sensitivity[name][:, place]
+            wanted = wrt_state @ run.sensitivity[name][:, place]
             if name in model.parameters:
-                wanted = wanted + by_parameters[:, model.parameters.index(name)]
+                wanted = wanted + wrt_parameters[:, model.parameters.index(name)]
             np.testing.assert_allclose(of_outputs[name][:, place], wanted, rtol=1e-9, atol=1e-9)
 
 
@@ -595,8 +596,8 @@ def test_sensitivities_at_a_jump_by_an_expression_equal_closed_forms_or_are_refu
     given = {"sensitivities": ["a"], "t_eval": [0.5 + 1e-12], "rtol": 1e-12, "atol": 1e-12, "parameters": {"a": rate}}
     system, s = driven_pendulum(None).system, me.dynamicsymbols("s")
     values = {"m": 2.0, "l": 0.5, "g": 9.81, "a": 0.1}
-    by_input = fb.compile_model(fb.Model(system, name="moved", parameters=values, inputs={s: motion}))
-    run = by_input.simulate((0.0, 1.0), [0.4, 0.0], gradient=True, **given)
+    wrt_input = fb.compile_model(fb.Model(system, name="moved", parameters=values, inputs={s: motion}))
+    run = wrt_input.simulate((0.0, 1.0), [0.4, 0.0], gradient=True, **given)
     assert run.success
     assert run.sensitivity["a"][1, 0] == pytest.approx(-np.cos(run["q"][0]) / 0.5, rel=1e-10)
     assert run.gradient({"u": 1.0})["a"] == pytest.approx(run.sensitivity["a"][1, 0], rel=1e-11)
@@ -816,7 +817,7 @@ def test_force_without_real_values_has_a_jump_that_is_stated_as_unknown():
     with pytest.warns(fb.ModelWarning, match="was not compared with its equations"):
         model = loaded(lambda x, v, t: A * sm.sign(v) * sm.sqrt(-1 - x**2))
     entry = {"function": "sign of v", "input": "", "by_default": True, "known": False}
-    assert model.manifest["jumps"] == [entry]
+    assert model.manifest["state_jumps"] == [entry]
 
 
 @pytest.mark.slow(but=["1000000.0"])

@@ -24,12 +24,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
-from fourbar_codegen.analysis.groups import DISTINCT, ROUNDING, Chart, Group, Solved, solving_order
-from fourbar_codegen.analysis.loop_closure import DEAD, MAX_CORRECTIONS, Loops
+from fourbar_codegen.analysis.groups import DISTINCT_ATOL, ROUNDING_RTOL, Chart, Group, Solved, solving_order
+from fourbar_codegen.analysis.loop_closure import MAX_CORRECTIONS, SINGULAR_RATIO, Loops
 from fourbar_codegen.analysis.polynomials import terms_of
 from fourbar_codegen.arguments import is_integer
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.kernel.dependent import SINGULAR, row_sizes
+from fourbar_codegen.kernel.dependent import SINGULAR_RTOL, row_sizes
 from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:
@@ -41,20 +41,20 @@ __all__ = ["AssemblyModes", "closed_coordinates"]
 
 Floats = NDArray[np.float64]
 
-WITNESSES = 12
+N_WITNESSES = 12
 """Starting points of a numerical search that must find no further solutions."""
 
 MAX_MODES = 1024
 """Largest number of modes, which grows exponentially with the number of loops."""
 
-WITHOUT_NEWS = 100
+MAX_FRUITLESS_STARTS = 100
 """A search ends after this number of consecutive starting points without a new solution."""
 
 MAX_STARTING_POINTS = 3000
 
 STEPS = (0.05, 0.2)
 """Steps along a null vector of the Jacobian, in rad or typical displacements, at which a curve of solutions has points.
-At the larger one even a root of multiplicity 16 violates its constraint by more than ROUNDING."""
+At the larger one even a root of multiplicity 16 violates its constraint by more than ROUNDING_RTOL."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +206,7 @@ def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple
     else:
         found = [dependent for dependent in partial if loops.are_closed(dependent)]
         everything = Group(tuple(range(loops.model.n_h)), tuple(range(len(start))))
-        for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), WITNESSES):
+        for begin in islice(_starting_points(chart, [start], range(len(start)), start, generator), N_WITNESSES):
             witness = loops.search(begin)
             # Where two modes meet, further solutions nearby are rounding errors, unless none was found at all.
             if witness is None or not _is_exact(loops, witness) or (found and _is_dead(chart, everything, witness)):
@@ -238,21 +238,21 @@ def _roots(chart: Chart, group: Group, dependent: Floats) -> list[Floats] | None
         error, slopes = chart.weights @ error, np.abs(chart.weights) @ np.abs(slopes)
         at = [1.0 if chart.is_angle[j] else abs(value) for j, value in zip(columns, candidate, strict=True)]
         terms = slopes[rows] @ np.abs(q) + [terms_of(polynomial, at) for polynomial in polynomials]
-        if (np.abs(error[rows]) <= ROUNDING * np.maximum(terms, chart.terms(point)[rows])).all():
+        if (np.abs(error[rows]) <= ROUNDING_RTOL * np.maximum(terms, chart.terms(point)[rows])).all():
             chart.add(point, found, Solved(rows, columns, terms))
     return found
 
 
 def _is_exact(loops: Loops, dependent: Floats) -> bool:
     """Whether it satisfies the constraints as well as a mode does."""
-    return bool((np.abs(loops.residual(dependent)) <= ROUNDING * loops.scale(loops.coordinates(dependent))).all())
+    return bool((np.abs(loops.residual(dependent)) <= ROUNDING_RTOL * loops.scale(loops.coordinates(dependent))).all())
 
 
 def _is_dead(chart: Chart, group: Group, dependent: Floats) -> bool:
     """Whether the configuration is singular or nearly so for a group: two of its solutions meet."""
     slopes = chart.position(dependent)[1][np.ix_(group.rows, group.unknowns)]
     sizes = np.linalg.svd(slopes, compute_uv=False)
-    return bool(sizes[-1] <= DEAD * sizes[0])
+    return bool(sizes[-1] <= SINGULAR_RATIO * sizes[0])
 
 
 def _free(chart: Chart, dependent: Floats) -> NDArray[np.bool_]:
@@ -266,11 +266,11 @@ def _free(chart: Chart, dependent: Floats) -> NDArray[np.bool_]:
     slopes = chart.loops.jacobian(dependent) * scales
     if not np.isfinite(slopes).all():
         return free
-    directions = null_space(slopes / row_sizes(slopes), DEAD).T
+    directions = null_space(slopes / row_sizes(slopes), SINGULAR_RATIO).T
     for direction in [*directions, *-directions]:
         moved = _moved(chart.loops, dependent, scales, direction)
         if moved is not None:
-            free |= np.abs(moved) > DISTINCT
+            free |= np.abs(moved) > DISTINCT_ATOL
     return free
 
 
@@ -286,11 +286,11 @@ def _moved(loops: Loops, dependent: Floats, scales: Floats, direction: Floats) -
             if not np.isfinite(slopes).all():
                 return None
             off = direction @ moved - step
-            if abs(off) <= DISTINCT and _is_exact(loops, dependent + scales * moved):
+            if abs(off) <= DISTINCT_ATOL and _is_exact(loops, dependent + scales * moved):
                 break
             size = row_sizes(slopes * scales)
             rows, gaps = np.vstack((slopes * scales / size, direction)), np.append(error / size[:, 0], off)
-            moved = moved - np.linalg.lstsq(rows, gaps, rcond=SINGULAR)[0]
+            moved = moved - np.linalg.lstsq(rows, gaps, rcond=SINGULAR_RTOL)[0]
         else:
             return None
         if np.linalg.norm(moved) > 2.0 * step:
@@ -335,6 +335,6 @@ def _search(
             in_vain += 1
         if free.any() and number >= len(partial):
             break
-        if in_vain >= max(WITHOUT_NEWS, 2 * len(partial)) or len(found) >= MAX_MODES:
+        if in_vain >= max(MAX_FRUITLESS_STARTS, 2 * len(partial)) or len(found) >= MAX_MODES:
             break
     return found, free

@@ -27,32 +27,33 @@ Floats = NDArray[np.float64]
 SEEDS = (0.5131, 0.0, 1.0, 0.2417, 0.7689, 0.1201, 0.8773, 0.3718, 0.6329)
 """Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular."""
 
-MANY_PLACES = 32
-FEW_BRANCHES = 32
+N_MORE_SEEDS = 32
+MAX_BRANCHES_FOR_MORE_SEEDS = 32
 """With no more branches, assembly modes are searched at so many of the given values, too, if that finds all of them."""
 
-SAME = 1e-6
+SAME_ATOL = 1e-6
 """Largest distance of scaled coordinates that are the same."""
 
 MARGIN = 0.2
 """Curves are followed beyond the ends of the drive, since these may be dead points."""
 
-NEAR = 0.05
+MAX_CHORD_ERROR = 0.05
 """Largest distance of a position from a branch that is drawn straight between the points that were traced."""
 
-AT_LIMIT = 1e-9
+AT_LIMIT_ATOL = 1e-9
 """Largest distance of a value from a dead point that is at it."""
 
-SINGULAR = 0.0025
+CHANGE_POINT_RATIO = 0.0025
 """Ratio of singular values, of the constraints with the drive held, near a change point."""
 
 BESIDE = (0.02, 0.026, 0.006, 0.002, 0.0006, 0.0002)
 """Distances of positions on a branch from which the one at a change point between them is interpolated, tried in turn:
 there may be another change point at one of them, or the branch may be curved too much. Rounding errors of accelerations
-grow with the inverse third power of the distance from a change point, so the first is well beyond that of `SINGULAR`.
+grow with the inverse third power of the distance from a change point, so the first is well beyond that of
+`CHANGE_POINT_RATIO`.
 """
 
-INTERPOLATED = 1e-11
+INTERPOLATION_ATOL = 1e-11
 """Largest residual of the scaled constraints at an interpolated position."""
 
 STEPS = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
@@ -62,7 +63,7 @@ WEIGHTS = np.array([-1 / 70, 4 / 35, -2 / 5, 4 / 5, 4 / 5, -2 / 5, 4 / 35, -1 / 
 FEWER = np.array([0, 1 / 20, -3 / 10, 3 / 4, 3 / 4, -3 / 10, 1 / 20, 0])
 """... and, without the outermost, h^6 / 20 times the sixth: the difference is an estimate of the larger error."""
 
-SMOOTH = 1e-6
+SMOOTH_RTOL = 1e-6
 """Largest difference, relative to speeds v, and to accelerations and v^2."""
 
 
@@ -208,8 +209,8 @@ def _add_modes(path: Drive, found: _Found, s: float, progress: Progress) -> bool
         elif null_space(path.function(z)[1]).shape[1] == 1:
             curve = trace(path.function, z, first - MARGIN, last + MARGIN, path.periods)
             # Where a part moves while the drive is at rest, a curve has no extent along it.
-            parts = [part for part in curve.branches() if part[-1, -1] - part[0, -1] > SAME]
-            parts = [part for part in parts if _overlap(path, part) >= -AT_LIMIT]
+            parts = [part for part in curve.branches() if part[-1, -1] - part[0, -1] > SAME_ATOL]
+            parts = [part for part in parts if _overlap(path, part) >= -AT_LIMIT_ATOL]
             found.parts += parts
             found.folds += [fold for fold in curve.points[list(curve.folds)] if _is_end(path, fold, parts)]
             found.is_complete &= not curve.ends_early
@@ -219,7 +220,7 @@ def _add_modes(path: Drive, found: _Found, s: float, progress: Progress) -> bool
 
 def _covers(part: Floats, s: float) -> bool:
     """Whether a branch has a position at a place, or ends there."""
-    return bool(part[0, -1] - AT_LIMIT <= s <= part[-1, -1] + AT_LIMIT)
+    return bool(part[0, -1] - AT_LIMIT_ATOL <= s <= part[-1, -1] + AT_LIMIT_ATOL)
 
 
 def _overlap(path: Drive, part: Floats) -> float:
@@ -231,8 +232,8 @@ def _is_end(path: Drive, fold: Floats, parts: Sequence[Floats]) -> bool:
     """Whether a fold is the end of a branch, within the ends of the drive."""
     first, last = path.ends
     ends = [part[place] for part in parts for place in (0, -1)]
-    is_inside = first - AT_LIMIT <= fold[-1] <= last + AT_LIMIT
-    return is_inside and any(np.abs(_within(fold - end, path.periods)).max() <= AT_LIMIT for end in ends)
+    is_inside = first - AT_LIMIT_ATOL <= fold[-1] <= last + AT_LIMIT_ATOL
+    return is_inside and any(np.abs(_within(fold - end, path.periods)).max() <= AT_LIMIT_ATOL for end in ends)
 
 
 def _singularity(path: Drive, z: Floats) -> float:
@@ -246,12 +247,12 @@ def _passes(path: Drive, part: Floats, z: Floats) -> bool:
     if len(part) == 1 or not _covers(part, z[-1]):
         return False
     expected = _between(part, z[-1])
-    if np.abs(_within(z - expected, path.periods)).max() > NEAR:
+    if np.abs(_within(z - expected, path.periods)).max() > MAX_CHORD_ERROR:
         return False
     near = solve_at(path.function, expected, z[-1])
-    if near is not None and np.abs(_within(z - near, path.periods)).max() <= SAME:
+    if near is not None and np.abs(_within(z - near, path.periods)).max() <= SAME_ATOL:
         return True
-    return _singularity(path, z) < SINGULAR
+    return _singularity(path, z) < CHANGE_POINT_RATIO
 
 
 def _within(away: Floats, periods: Floats) -> Floats:
@@ -273,9 +274,9 @@ def _motion(path: Drive, part: Floats, s: float, number: int) -> list[Floats]:
     """
     low, high = part[0, -1], part[-1, -1]
     near = solve_at(path.function, _between(part, s), s)
-    if near is None and min(s - low, high - s) <= AT_LIMIT:
+    if near is None and min(s - low, high - s) <= AT_LIMIT_ATOL:
         near = part[0 if s - low < high - s else -1]
-    if path.curves is None and (near is None or _singularity(path, near) < SINGULAR):
+    if path.curves is None and (near is None or _singularity(path, near) < CHANGE_POINT_RATIO):
         for length in BESIDE:
             if low + 4 * length <= s <= high - 4 * length:
                 places = s + length * STEPS
@@ -297,15 +298,15 @@ def _is_smooth(rows: Sequence[Floats]) -> bool:
     speed = max(np.abs(u).max(initial=0.0), np.abs(qd).max(initial=0.0))
     acceleration = max(np.abs(ud).max(initial=0.0), np.abs(qdd).max(initial=0.0)) + speed**2
     errors = [np.abs((WEIGHTS - FEWER) @ row).max(initial=0.0) for row in (u, qd, ud, qdd)]
-    return bool(max(errors[:2]) <= SMOOTH * speed and max(errors[2:]) <= SMOOTH * acceleration)
+    return bool(max(errors[:2]) <= SMOOTH_RTOL * speed and max(errors[2:]) <= SMOOTH_RTOL * acceleration)
 
 
 def _is_on_curve(path: Drive, q: Floats, s: float, near: Floats | None) -> bool:
     """Whether an interpolated position closes the loops, and is the one that was found, which is less accurate."""
     z = np.append(q / path.scales, s)
-    if np.abs(path.function(z)[0]).max(initial=0.0) > INTERPOLATED:
+    if np.abs(path.function(z)[0]).max(initial=0.0) > INTERPOLATION_ATOL:
         return False
-    return near is None or bool(np.abs(_within(z - near, path.periods)).max() <= SAME)
+    return near is None or bool(np.abs(_within(z - near, path.periods)).max() <= SAME_ATOL)
 
 
 def _motion_at(path: Drive, z: Floats | None, number: int) -> list[Floats]:

@@ -22,39 +22,39 @@ Floats = NDArray[np.float64]
 Function = Callable[[Floats], tuple[Floats, Floats]]
 """F and its Jacobian; unknowns and rows are scaled to the order of 1."""
 
-LONGEST = 0.1
-SHORTEST = 1e-7
+MAX_STEP_LENGTH = 0.1
+MIN_STEP_LENGTH = 1e-7
 """Of steps."""
 
-CLOSE = 5.0
+CROSSING_RATIO = 5.0
 """Steps are shorter where the smallest singular value is smaller than the largest one on the curve by this factor."""
 
-EXACT = 1e-5
+CROSSING_ATOL = 1e-5
 """Curves that are nearer to each other than steps of this length can tell cross."""
 
-JUMP = 0.02
-LONGER = 1.37
-MAX_LONGER = 4
+OVERSTEP = 0.02
+OVERSTEP_GROWTH = 1.37
+MAX_OVERSTEPS = 4
 """Length of a step over a crossing, and by what it is longer if it ends at another one, so many times."""
 
-STRAIGHT = 0.98
+MIN_TANGENT_COSINE = 0.98
 """Smallest cosine of the angle between the tangents at the ends of a step."""
 
 MAX_ITERATIONS = 12
 MAX_STEPS = 100_000
-SOLVED = 1e-12
+SOLUTION_ATOL = 1e-12
 """Largest component of F at a solution. Newton's method then goes on while it halves that."""
 
-RANK = 1e-9
+RANK_RTOL = 1e-9
 """Smallest singular value that counts, relative to the largest."""
 
-REACHED = 1e-9
+REACHED_ATOL = 1e-9
 """Largest distance of a point from a curve through it."""
 
-FOLDED = 1e-10
+FOLD_ATOL = 1e-10
 """Component of the tangent along the parameter at a fold."""
 
-STEEP = 1e-3
+NEAR_FOLD_ATOL = 1e-3
 """Component of the tangent along the parameter near a fold."""
 
 
@@ -89,12 +89,12 @@ class Curve:
         return [part if part[-1, -1] >= part[0, -1] else part[::-1] for part in parts]
 
 
-def null_space(jacobian: Floats, rank: float = RANK) -> Floats:
+def null_space(jacobian: Floats, rank: float = RANK_RTOL) -> Floats:
     """An orthonormal basis in columns; singular values count from the fraction `rank` of the largest."""
     return _null_space(jacobian, rank)[0]
 
 
-def _null_space(jacobian: Floats, rank: float = RANK) -> tuple[Floats, Floats]:
+def _null_space(jacobian: Floats, rank: float = RANK_RTOL) -> tuple[Floats, Floats]:
     """The basis, and the singular values."""
     _, sizes, basis = np.linalg.svd(jacobian)
     return np.asarray(basis[int((sizes > rank * sizes.max(initial=0.0)).sum()) :].T), sizes
@@ -108,13 +108,13 @@ def _correct(function: Function, z: Floats, held: bool = False) -> Floats | None
         if not np.isfinite(size):
             return None
         free = jacobian[:, :-1] if held else jacobian
-        step = np.linalg.lstsq(free, value, rcond=RANK)[0]
+        step = np.linalg.lstsq(free, value, rcond=RANK_RTOL)[0]
         tried = z - (np.append(step, 0.0) if held else step)
         value_there, jacobian_there = function(tried)
-        if size <= SOLVED and not np.abs(value_there).max(initial=0.0) < 0.5 * size:
+        if size <= SOLUTION_ATOL and not np.abs(value_there).max(initial=0.0) < 0.5 * size:
             return z
         z, value, jacobian = tried, value_there, jacobian_there
-    return z if np.abs(value).max(initial=0.0) <= SOLVED else None
+    return z if np.abs(value).max(initial=0.0) <= SOLUTION_ATOL else None
 
 
 def solve_at(function: Function, guess: Floats, parameter: float) -> Floats | None:
@@ -153,8 +153,8 @@ def trace(function: Function, begin: Floats, low: float, high: float, periods: F
     Curve
     """
     tangent = null_space(function(begin)[1])[:, 0]
-    if abs(tangent[-1]) < STEEP:  # a fold, or near to one: begin beside it, so that it is passed
-        beside = _correct(function, begin + 0.5 * LONGEST * tangent)
+    if abs(tangent[-1]) < NEAR_FOLD_ATOL:  # a fold, or near to one: begin beside it, so that it is passed
+        beside = _correct(function, begin + 0.5 * MAX_STEP_LENGTH * tangent)
         if beside is not None and low <= beside[-1] <= high:
             begin, tangent = beside, _tangent(function, beside, tangent)[0]
     forward, folds, is_closed, early = _follow(function, begin, tangent, low, high, periods)
@@ -171,7 +171,7 @@ def _follow(
 ) -> tuple[list[Floats], list[int], bool, bool]:
     """Points in one direction, numbers of folds, and whether it is closed or ends early."""
     points, folds = [begin], list[int]()
-    first, step = tangent, LONGEST
+    first, step = tangent, MAX_STEP_LENGTH
     regular = distance = _tangent(function, begin, tangent)[1]
 
     def add_fold(z: Floats, tangent: Floats, step: float) -> None:
@@ -181,25 +181,27 @@ def _follow(
             folds.append(len(points) - 1)
 
     def allowed(distance: float) -> float:
-        return LONGEST * min(1.0, CLOSE * distance / regular) if regular else LONGEST
+        return MAX_STEP_LENGTH * min(1.0, CROSSING_RATIO * distance / regular) if regular else MAX_STEP_LENGTH
 
-    crosses, longer = allowed(distance) < EXACT, 0
+    crosses, longer = allowed(distance) < CROSSING_ATOL, 0
     for _ in range(MAX_STEPS):
         z = points[-1]
         step = step if crosses else min(step, allowed(distance))
         moved = _correct(function, z + step * tangent)
         turned, there = (tangent, 0.0) if moved is None else _tangent(function, moved, tangent)
         is_near = moved is not None and np.linalg.norm(moved - z - step * tangent) < 0.5 * step
-        if moved is not None and is_near and allowed(there) < EXACT and longer < MAX_LONGER:
-            crosses, step, longer = True, max(JUMP, step * LONGER), longer + 1  # it ends where curves cross
+        if moved is not None and is_near and allowed(there) < CROSSING_ATOL and longer < MAX_OVERSTEPS:
+            # It ends where curves cross.
+            crosses, step, longer = True, max(OVERSTEP, step * OVERSTEP_GROWTH), longer + 1
             continue
-        if moved is None or not is_near or turned @ tangent < STRAIGHT or not (crosses or step <= 2 * allowed(there)):
+        is_straight = turned @ tangent >= MIN_TANGENT_COSINE
+        if moved is None or not is_near or not is_straight or not (crosses or step <= 2 * allowed(there)):
             step *= 0.5
-            if step < (EXACT if crosses else SHORTEST):
+            if step < (CROSSING_ATOL if crosses else MIN_STEP_LENGTH):
                 return points, folds, False, True
             continue
         turns = np.where(np.isfinite(periods), periods, 0.0) * np.round((z - begin) / periods)
-        end, forth = begin + turns, first @ tangent > STRAIGHT and first @ turned > STRAIGHT
+        end, forth = begin + turns, first @ tangent > MIN_TANGENT_COSINE and first @ turned > MIN_TANGENT_COSINE
         if forth and first @ (end - z) > 0.0 >= first @ (end - moved) and _reaches(function, z, tangent, end):
             if first[-1] * tangent[-1] < 0.0:
                 add_fold(z, tangent, float(np.linalg.norm(end - z)))
@@ -213,8 +215,8 @@ def _follow(
             return points, folds, False, last is None
         points.append(moved)
         tangent, distance, regular = turned, there, max(regular, there)
-        crosses, longer = allowed(distance) < EXACT, 0
-        step = JUMP if crosses else min(LONGEST, 1.5 * step)
+        crosses, longer = allowed(distance) < CROSSING_ATOL, 0
+        step = OVERSTEP if crosses else min(MAX_STEP_LENGTH, 1.5 * step)
     return points, folds, False, True
 
 
@@ -222,7 +224,7 @@ def _reaches(function: Function, z: Floats, tangent: Floats, end: Floats) -> boo
     """Whether a curve goes through a point ahead, and not beside it."""
     for _ in range(MAX_ITERATIONS):
         gap = end - z
-        if np.linalg.norm(gap) <= REACHED:
+        if np.linalg.norm(gap) <= REACHED_ATOL:
             return True
         moved = _correct(function, z + (gap @ tangent) * tangent)
         if moved is None:
@@ -241,7 +243,7 @@ def _fold(function: Function, z: Floats, tangent: Floats, step: float) -> Floats
         if found is None:
             return None
         slope = _tangent(function, found, tangent)[0][-1]
-        if abs(slope) <= FOLDED:
+        if abs(slope) <= FOLD_ATOL:
             break
         low, high = (middle, high) if slope * sign > 0.0 else (low, middle)
     return found

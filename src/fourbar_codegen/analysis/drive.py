@@ -87,10 +87,10 @@ class Drive:
         along = np.zeros(len(error))
         if len(self.coordinates) < len(self.names):
             at_rest = np.concatenate((q, np.zeros(model.n_x - n_q)))
-            by_inputs = model.constraint_partials(self.t, at_rest, self.p, r)[1]
+            wrt_inputs = model.constraint_partials(self.t, at_rest, self.p, r)[1]
             for name, rate in zip(self.names, slope, strict=True):
                 if name in model.inputs:
-                    along += by_inputs[:, model.inputs.index(name)] * rate
+                    along += wrt_inputs[:, model.inputs.index(name)] * rate
         matrix, size = np.column_stack((slopes * self.scales, along)), self.sizes[0]
         rows, errors = [matrix / size[:, None]], [error / size]
         for place, value, rate in zip(self.coordinates, driven[: len(self.coordinates)], slope, strict=False):
@@ -106,10 +106,10 @@ class Drive:
         r = self.inputs(self.at(s), number)
         x = np.concatenate((q, np.zeros(model.n_x - model.n_q)))
         # q' = K u + k, of which the driven rows are given; J u + b = 0.
-        by_speeds = np.transpose([model.coordinate_change(self.t, x, row, self.p, r) for row in np.eye(model.n_u)])
+        wrt_speeds = np.transpose([model.coordinate_change(self.t, x, row, self.p, r) for row in np.eye(model.n_u)])
         jacobian, bias = model.velocity(self.t, x, self.p, r)
-        matrix = np.vstack((jacobian, by_speeds[driven]))
-        of_drives = np.abs(by_speeds[driven]).max(axis=1, initial=0.0)
+        matrix = np.vstack((jacobian, wrt_speeds[driven]))
+        of_drives = np.abs(wrt_speeds[driven]).max(axis=1, initial=0.0)
         size = np.append(self.sizes[1], np.where(of_drives > 0.0, of_drives, 1.0))
         wanted = self.rates[: len(driven), number] - model.dynamics(self.t, x, self.p, r)[0][driven]
         u = solve_redundant(matrix, np.concatenate((-bias, wanted)), size)

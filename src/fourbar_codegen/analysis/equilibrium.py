@@ -22,17 +22,17 @@ Floats = NDArray[np.float64]
 
 # Tolerance of an equilibrium: for the loops relative to their scales; for accelerations relative to those at the start
 # of the search, or to the changes that the coordinates' own magnitudes would cause.
-COORDINATE_TOLERANCE = 1e-9
+EQUILIBRIUM_RTOL = 1e-9
 # Smallest eigenvalue of the mass matrix, relative to the largest.
-LIGHT = 1e-12
+MIN_MASS_RATIO = 1e-12
 # Steps downhill: their number, the first, largest and shortest one, in rad or relative to the unit of displacements;
 # and the largest correction that closes loops, relative to the step.
-STEPS, FIRST, LARGEST, SHORTEST, BENT = 1000, 0.05, 0.2, 1e-7, 0.5
+MAX_STEPS, FIRST_STEP, MAX_STEP, MIN_STEP, MAX_CORRECTION_RATIO = 1000, 0.05, 0.2, 1e-7, 0.5
 # Largest correction of the position from which they begin, in the same units: a turn.
-FAR = 2.0 * np.pi
+MAX_DISTANCE = 2.0 * np.pi
 # Rounding errors of a matrix, relative to its largest eigenvalue; and the largest ones of eigenvalues that follow: a
 # double eigenvalue of zero is known to the root of the precision.
-ROUNDING, UNKNOWN = 10.0 * np.finfo(float).eps, 1e-7
+ROUNDING_RTOL, EIGENVALUE_RTOL = 10.0 * np.finfo(float).eps, 1e-7
 
 
 def equilibrium(
@@ -81,8 +81,8 @@ def equilibrium(
 
     def slopes(unknown: Floats) -> Floats:
         x = at_rest(unknown)
-        by_state = np.delete(model.jacobian(t, x, p, r), slice(n_q, last), axis=1)
-        rates, accelerations, state_rates = np.split(by_state, [n_q, last])
+        wrt_state = np.delete(model.jacobian(t, x, p, r), slice(n_q, last), axis=1)
+        rates, accelerations, state_rates = np.split(wrt_state, [n_q, last])
         constraints = np.vstack(
             (
                 model.position(t, x[:n_q], p, r)[1] / size[:, np.newaxis],
@@ -108,7 +108,7 @@ def equilibrium(
     displacement = np.abs(begin[:n_q][~angles]).max(initial=mechanism_size(model, t, begin[:n_q], p, r))
     units = np.concatenate((np.where(angles, 1.0, displacement), np.abs(begin[n_q:]) + (begin[n_q:] == 0.0)))
     masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
-    weights = np.sqrt(np.maximum(masses, LIGHT * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
+    weights = np.sqrt(np.maximum(masses, MIN_MASS_RATIO * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
     weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[n_q:last]) or 1.0
 
     def search(unknown: Floats) -> tuple[Floats, Floats, bool]:
@@ -125,7 +125,7 @@ def equilibrium(
         ).x
         end = unknown + units * change
         errors, scales = np.abs(residual(end)), np.abs(slopes(end)) @ np.abs(end)
-        return end, errors, bool((errors <= COORDINATE_TOLERANCE * np.maximum(scales, 1.0)).all())
+        return end, errors, bool((errors <= EQUILIBRIUM_RTOL * np.maximum(scales, 1.0)).all())
 
     found, errors, is_at_rest = search(begin)
     for position in () if is_at_rest else (found, begin):
@@ -164,26 +164,26 @@ def _downhill(
     rest = np.concatenate((np.zeros(model.n_u), begin[n_q:]))
     q = nearest_closed(model, t, begin[:n_q], p, r)
     # Where modes meet, a correction by rounding errors of derivatives may be millions of turns.
-    is_near = q is not None and np.abs((q - begin[:n_q]) / units).max(initial=0.0) <= FAR
+    is_near = q is not None and np.abs((q - begin[:n_q]) / units).max(initial=0.0) <= MAX_DISTANCE
     force = accelerations(q) if q is not None and is_near else None
     if q is None or force is None:
         return None
-    length = FIRST
-    for _ in range(STEPS):
+    length = FIRST_STEP
+    for _ in range(MAX_STEPS):
         x = np.concatenate((q, rest))
         way = model.coordinate_change(t, x, force, p, r)
         size = np.abs(way / units).max(initial=0.0)
-        if not size or length < SHORTEST:
+        if not size or length < MIN_STEP:
             break
         step = length * way / size
         ahead = nearest_closed(model, t, q + step, p, r)
         force_there = None
-        if ahead is not None and np.abs((ahead - q - step) / units).max() <= BENT * length:
+        if ahead is not None and np.abs((ahead - q - step) / units).max() <= MAX_CORRECTION_RATIO * length:
             force_there = accelerations(ahead)
         if ahead is None or force_there is None or force @ model.tree_mass_matrix(t, x, p) @ force_there < 0.0:
             length /= 2.0
             continue
-        q, force, length = ahead, force_there, min(2.0 * length, LARGEST)
+        q, force, length = ahead, force_there, min(2.0 * length, MAX_STEP)
     return np.concatenate((q, begin[n_q:]))
 
 
@@ -217,8 +217,8 @@ def stability_of(
     scales = np.where(np.abs(basis[n_q:last]).any(axis=0), fastest, 1.0)
     values, left, right = eig(matrix / scales[:, np.newaxis] * scales, left=True)
     known = np.abs((left.conj() * right).sum(axis=0))
-    unknown = fastest * ROUNDING / np.maximum(known, ROUNDING / UNKNOWN)
+    unknown = fastest * ROUNDING_RTOL / np.maximum(known, ROUNDING_RTOL / EIGENVALUE_RTOL)
     # The real part of an oscillation's eigenvalue may be an error of its frequency, too.
-    if (values.real > np.maximum(unknown, UNKNOWN * np.abs(values))).any():
+    if (values.real > np.maximum(unknown, EIGENVALUE_RTOL * np.abs(values))).any():
         return "unstable"
     return "neutral" if (np.abs(values) <= unknown).any() else "stable"

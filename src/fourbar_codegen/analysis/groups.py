@@ -20,18 +20,18 @@ from numpy.typing import NDArray
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.analysis.polynomials import Constraints, Polynomial, real_roots
 
-__all__ = ["DISTINCT", "ROUNDING", "Chart", "Group", "Solved", "leaf_values", "solving_order"]
+__all__ = ["DISTINCT_ATOL", "ROUNDING_RTOL", "Chart", "Group", "Solved", "leaf_values", "solving_order"]
 
 Floats = NDArray[np.float64]
 
-ROUNDING = 1e-13
+ROUNDING_RTOL = 1e-13
 """Violation of a constraint in a mode, relative to its terms."""
 
-DISTINCT = 1e-5
+DISTINCT_ATOL = 1e-5
 """Modes that differ by more are always distinct, even if they are not known that well. Where two meet, constraints are
-satisfied to ROUNDING within sqrt(ROUNDING) = 3e-7."""
+satisfied to ROUNDING_RTOL within sqrt(ROUNDING_RTOL) = 3e-7."""
 
-CANCELLED = 1e-12
+CANCELLATION_RTOL = 1e-12
 """Derivatives of a sum of constraints, relative to its terms, where a coordinate cancels."""
 
 EPS = float(np.finfo(float).eps)
@@ -116,7 +116,7 @@ class Chart:
         sums = np.einsum("ij,jkl->ikl", weights, slopes)
         terms = np.einsum("ij,jkl->ikl", np.abs(weights), np.abs(slopes))
         alone = (np.abs(weights).sum(axis=1) == 1.0)[:, None]
-        held = np.where(alone, self.held, (np.abs(sums) > CANCELLED * terms).any(axis=1))
+        held = np.where(alone, self.held, (np.abs(sums) > CANCELLATION_RTOL * terms).any(axis=1))
         return replace(self, weights=weights, constraints=self.constraints.combined(weights), held=held)
 
     def position(self, dependent: Floats) -> tuple[Floats, Floats]:
@@ -144,7 +144,7 @@ class Chart:
 
     def wrapped(self, dependent: Floats) -> Floats:
         """The coordinates with angles between -pi and pi, and pi for -pi."""
-        turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT)
+        turns = np.ceil((dependent - np.pi) / (2 * np.pi) - DISTINCT_ATOL)
         return np.where(self.is_angle, dependent - 2 * np.pi * turns, dependent)
 
     def add(self, dependent: Floats, found: list[Floats], solved: Solved | None = None) -> bool:
@@ -160,19 +160,21 @@ class Chart:
         return True
 
     def _uncertainty(self, dependent: Floats, solved: Solved) -> Floats:
-        """How far a solution moves if each constraint changes by `ROUNDING` of its terms; at most `DISTINCT`."""
+        """How far a solution moves if each constraint changes by `ROUNDING_RTOL` of its terms; at most
+        `DISTINCT_ATOL`.
+        """
         error, slopes = self.position(dependent)
         rows, columns = list(solved.rows), list(solved.unknowns)
         error, slopes = error[rows], slopes[rows][:, columns]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             alone = np.where(slopes != 0.0, solved.terms[:, None] / np.abs(slopes), 0.0).max(axis=0)
-        most = DISTINCT * np.where(self.is_angle[columns], 1.0, np.maximum(np.abs(dependent[columns]), alone))
+        most = DISTINCT_ATOL * np.where(self.is_angle[columns], 1.0, np.maximum(np.abs(dependent[columns]), alone))
         try:
             inverse = np.abs(np.linalg.pinv(slopes, rcond=EPS))
         except np.linalg.LinAlgError:
             inverse = np.full(slopes.T.shape, np.inf)
         reach = EPS * np.abs(dependent)
-        reach[columns] += np.minimum(inverse @ (ROUNDING * solved.terms + np.abs(error)), most)
+        reach[columns] += np.minimum(inverse @ (ROUNDING_RTOL * solved.terms + np.abs(error)), most)
         return reach
 
 
@@ -221,11 +223,11 @@ def _fewest_coordinates(slopes: Floats) -> Floats:
     """
     sums, terms, weights = slopes.copy(), np.abs(slopes), np.eye(len(slopes))
     while True:
-        counts = (np.abs(sums) > CANCELLED * terms).any(axis=1).sum(axis=1)
+        counts = (np.abs(sums) > CANCELLATION_RTOL * terms).any(axis=1).sum(axis=1)
         best, change = (0, 0, 0.0), 0
         for sign in (1.0, -1.0):
             both = sums[:, None] + sign * sums[None]
-            held = (np.abs(both) > CANCELLED * (terms[:, None] + terms[None])).any(axis=2)
+            held = (np.abs(both) > CANCELLATION_RTOL * (terms[:, None] + terms[None])).any(axis=2)
             fewer = counts[:, None] - held.sum(axis=2)
             np.fill_diagonal(fewer, 0)
             i, j = (int(k) for k in np.unravel_index(np.argmax(fewer), fewer.shape))

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import DEAD, Loops, nearest_closed
+from fourbar_codegen.analysis.loop_closure import SINGULAR_RATIO, Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
 from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_array
 from fourbar_codegen.errors import AssemblyError, ModelError, ModelWarning, shown
-from fourbar_codegen.kernel.dependent import INDEPENDENT, row_sizes, solve_dependent
+from fourbar_codegen.kernel.dependent import INDEPENDENCE_RTOL, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import Progress
@@ -27,28 +27,28 @@ __all__ = ["check_speeds", "initial_state", "initial_states", "nearby_state"]
 
 Floats = NDArray[np.float64]
 
-FURTHER_GUESSES = 40
+MAX_FURTHER_GUESSES = 40
 """Further guesses that are tried before a loop counts as open."""
 
-MANY = 8
+MAX_NAMED = 8
 """Up to this number, messages name all coordinates, also those that are zero."""
 
-FLAT = 1e-4
+FLAT_RATIO = 1e-4
 """If all entries of a column of J_d are below this, in scaled rows, speeds are tested at a neighbouring position."""
 
-DEGREES = 720.0
+MAX_ANGLE = 720.0
 """Nobody means more of them."""
 
-KNOWN = 0.01
+SPEED_RTOL = 0.01
 """If rounding errors of the position change speeds by more than this fraction, they are undetermined."""
 
-CONSISTENT = 1e-10
+VELOCITY_RTOL = 1e-10
 """Tolerance of velocity constraints, relative to their terms."""
 
-GIVEN = 1e-6
+GIVEN_VELOCITY_RTOL = 1e-6
 """The same, with dependent speeds as they are given, ..."""
 
-AT_REST = 1e-8
+AT_REST_ATOL = 1e-8
 """... which are zero up to this size, m/s or rad/s: at rest, the terms are rounding errors themselves."""
 
 
@@ -108,7 +108,8 @@ def check_speeds(
         The dependent speeds with an initial value.
     """
     residual, sizes = jacobian @ u + bias, np.abs(jacobian)
-    excess = np.abs(residual) - GIVEN * (sizes @ np.abs(u) + np.abs(bias)) - AT_REST * sizes.sum(axis=1)
+    terms = sizes @ np.abs(u) + np.abs(bias)
+    excess = np.abs(residual) - GIVEN_VELOCITY_RTOL * terms - AT_REST_ATOL * sizes.sum(axis=1)
     if (excess > 0.0).any():
         row = int(np.argmax(excess))
         raise ModelError(
@@ -185,7 +186,7 @@ def initial_states(
 def _warn_of_degrees(model: Kernel, q_i: Floats) -> None:
     """Warn of angles beyond a turn that are a whole number of radians: they are rather degrees."""
     for name, value in zip(model.coordinates, q_i, strict=False):
-        if 2.0 * math.pi < abs(value) <= DEGREES and value == round(value) and name in model.layout.angles:
+        if 2.0 * math.pi < abs(value) <= MAX_ANGLE and value == round(value) and name in model.layout.angles:
             warnings.warn(
                 f"{name} = {value:g} rad is more than a turn: angles are in radians. If {value:g} degrees are meant, "
                 f"give {math.radians(value):.6g}.",
@@ -259,7 +260,7 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
             return dependent
     model, q_i = loops.model, loops.q_i
     names = model.coordinates[len(q_i) :]
-    found, open_loops = close_in_stages(loops, start, 0 if is_given else FURTHER_GUESSES, limits)
+    found, open_loops = close_in_stages(loops, start, 0 if is_given else MAX_FURTHER_GUESSES, limits)
     if not open_loops and loops.are_closed(found):
         return found
     message = f"The loops do not close from the guess {_named(names, start)}"
@@ -269,7 +270,7 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
         message += f" with {_named(held, values)}"
     if limits:
         message += " within the bounds"
-    other, still_open = close_in_stages(loops, start, FURTHER_GUESSES, limits) if is_given else (found, open_loops)
+    other, still_open = close_in_stages(loops, start, MAX_FURTHER_GUESSES, limits) if is_given else (found, open_loops)
     if not still_open and loops.are_closed(other):
         raise AssemblyError(
             f"{message}: {_open(loops, open_loops)}. They close from other guesses, for instance "
@@ -283,7 +284,7 @@ def _close(loops: Loops, start: Floats, is_given: bool, limits: tuple[Floats, Fl
         *["the independent coordinates"] * bool(q_i.size),
     ]
     message += (
-        f", and cannot be closed from {FURTHER_GUESSES} other guesses for each loop: {_open(loops, still_open)}. "
+        f", and cannot be closed from {MAX_FURTHER_GUESSES} other guesses for each loop: {_open(loops, still_open)}. "
         f"Check {' and '.join([', '.join(causes[:-1])] * (len(causes) > 1) + causes[-1:])}"
     )
     near = None
@@ -326,10 +327,10 @@ def _dependent_speeds(loops: Loops, q: Floats, u_i: Floats) -> Floats:
     within rounding errors.
     """
     speeds, size = _speeds_at(loops, q, u_i)
-    if size < FLAT and loops.n_dependent:
+    if size < FLAT_RATIO and loops.n_dependent:
         beside = q.copy()
         beside[len(loops.q_i) :] += loops.uncertainty(q[len(loops.q_i) :])
-        if np.abs(_speeds_at(loops, beside, u_i)[0] - speeds).max() > KNOWN * np.abs(speeds).max():
+        if np.abs(_speeds_at(loops, beside, u_i)[0] - speeds).max() > SPEED_RTOL * np.abs(speeds).max():
             raise _undetermined(loops, q, u_i)
     return speeds
 
@@ -352,14 +353,14 @@ def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
     size = row_sizes(jacobian)
     jacobian, bias = jacobian / size, bias / size[:, 0]
     if model.n_c > model.n_u - n_i:
-        rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENT))
+        rank = int(np.linalg.matrix_rank(jacobian, rtol=INDEPENDENCE_RTOL))
         if rank > model.n_u - n_i:
             raise AssemblyError(model.too_few_dependent(f"at {_named(model.coordinates, q)}", rank))
     known = jacobian[:, :n_i] @ u_i + bias
-    u_d, determined = solve_dependent(jacobian, n_i, known, DEAD)
+    u_d, determined = solve_dependent(jacobian, n_i, known, SINGULAR_RATIO)
     error = np.abs(jacobian[:, n_i:] @ u_d + known).max()
     terms = max(np.abs(jacobian[:, n_i:]).max() * np.abs(u_d).max(), np.abs(known).max())
-    if determined < len(u_d) or not error <= CONSISTENT * terms:
+    if determined < len(u_d) or not error <= VELOCITY_RTOL * terms:
         raise _undetermined(loops, q, u_i)
     smallest = float(np.abs(jacobian[:, n_i:]).max(axis=0).min(initial=1.0))
     return np.concatenate((u_i, u_d)), smallest
@@ -367,6 +368,6 @@ def _speeds_at(loops: Loops, q: Floats, u_i: Floats) -> tuple[Floats, float]:
 
 def _named(names: Sequence[str], values: Floats) -> str:
     pairs = [*zip(names, values, strict=False)]
-    told = [(name, value) for name, value in pairs if value or len(pairs) <= MANY]
+    told = [(name, value) for name, value in pairs if value or len(pairs) <= MAX_NAMED]
     others = [] if len(told) == len(pairs) else [f"{len(pairs) - len(told)} others 0" if told else "all 0"]
     return ", ".join([*(f"{name} = {value:.6g}" for name, value in told), *others]) or "none"

@@ -35,23 +35,23 @@ __all__ = ["inverse_dynamics"]
 
 Floats = NDArray[np.float64]
 
-RANK = 1e-10
+RANK_RTOL = 1e-10
 """Smallest singular value that counts, relative to the largest, of matrices with scaled rows and columns."""
 
-SMALL = 1e-3
+MIN_COLUMN_SIZE = 1e-3
 """Columns are scaled up from this size, where rows have the size 1: an input at a dead point has a column of rounding
 errors, which should not count."""
 
-CONSISTENT = 1e-6
+CONSISTENCY_RTOL = 1e-6
 """Largest violation of the constraints by given accelerations, relative to its terms."""
 
-BALANCED = 1e-12
+RESIDUAL_RTOL = 1e-12
 """Largest residual of each equation, relative to its terms, ..."""
 
-NEARLY_BALANCED = 1e-9
+LOOSE_RESIDUAL_RTOL = 1e-9
 """... and if rounding errors prevent further progress."""
 
-ROUNDED = 1e-13
+ROUNDING_RTOL = 1e-13
 """Rounding errors of the largest term of all equations, which may stay in small equations."""
 
 MAX_ITERATIONS = 30
@@ -429,7 +429,7 @@ def _accelerations(at: _Instant, rows: list[int], rates: Floats, sizes: Floats) 
     violation = jacobian @ found + bias
     size = np.abs(jacobian) @ np.abs(found) + np.abs(bias) + sizes
     away = np.abs(found[rows] - rates)
-    if (np.abs(violation) > CONSISTENT * size).any() or (away > CONSISTENT * (1.0 + np.abs(rates))).any():
+    if (np.abs(violation) > CONSISTENCY_RTOL * size).any() or (away > CONSISTENCY_RTOL * (1.0 + np.abs(rates))).any():
         told = ", ".join(f"{model.speeds[row]}' = {rate:.6g}" for row, rate in zip(rows, rates, strict=True))
         raise ModelError(
             f"The accelerations {told} at t = {at.t:g} violate the constraints: J u' + gamma = {violation}. Give those "
@@ -472,7 +472,7 @@ class _Equations:
     Attributes
     ----------
     residual : ndarray, shape (n,)
-    by_inputs, by_reactions : ndarray, shape (n, ...)
+    wrt_inputs, wrt_reactions : ndarray, shape (n, ...)
         Its derivatives.
     terms : ndarray, shape (n,)
         Sizes of the terms.
@@ -482,14 +482,14 @@ class _Equations:
     """
 
     residual: Floats
-    by_inputs: Floats
-    by_reactions: Floats
+    wrt_inputs: Floats
+    wrt_reactions: Floats
     terms: Floats
     rounding: Floats
 
     @property
     def are_finite(self) -> bool:
-        return all(np.isfinite(part).all() for part in (self.residual, self.by_inputs, self.by_reactions))
+        return all(np.isfinite(part).all() for part in (self.residual, self.wrt_inputs, self.wrt_reactions))
 
     @property
     def error(self) -> float:
@@ -499,7 +499,7 @@ class _Equations:
     @property
     def are_rounded(self) -> bool:
         """Whether the residual may be rounding errors."""
-        return self.error <= NEARLY_BALANCED or bool((np.abs(self.residual) <= self.rounding).all())
+        return self.error <= LOOSE_RESIDUAL_RTOL or bool((np.abs(self.residual) <= self.rounding).all())
 
 
 def _equations(at: _Instant, accelerations: Floats, rows: list[int], unknown: Floats) -> _Equations:
@@ -508,18 +508,22 @@ def _equations(at: _Instant, accelerations: Floats, rows: list[int], unknown: Fl
     n_u, n_c, k = model.n_u, model.n_c, len(rows)
     multipliers, forces, r = unknown[k : k + n_c], unknown[k + n_c :], at.inputs(rows, unknown[:k])
     _, mass, forcing, jacobian, _ = model.dynamics(t, x, at.p, r)
-    effect, by_forces, rest, rest_by_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, at.p, r)
-    by_reactions = np.block([[jacobian.T, by_forces], [other_jacobian, rest_by_forces]])
+    effect, wrt_forces, rest, rest_wrt_forces, other_mass, other_jacobian = model.unknown_forces(t, x, forces, at.p, r)
+    wrt_reactions = np.block([[jacobian.T, wrt_forces], [other_jacobian, rest_wrt_forces]])
     known, inertial = np.concatenate((forcing + effect, rest)), np.vstack((mass, other_mass)) @ accelerations
     derivatives = model.partials(t, x, accelerations, unknown[k:], at.p, r)[1::2]
-    by_data = np.hstack(derivatives)[[*range(n_u), *range(n_u + n_c, n_u + model.n_l)]]
-    by_inputs = by_data[:, by_data.shape[1] - model.n_r :][:, rows]
+    wrt_data = np.hstack(derivatives)[[*range(n_u), *range(n_u + n_c, n_u + model.n_l)]]
+    wrt_inputs = wrt_data[:, wrt_data.shape[1] - model.n_r :][:, rows]
     data = np.abs(np.concatenate((x, parameter_array(model, at.p), r)))
     # Inputs may balance other forces within `forcing`.
-    terms = np.abs(known) + np.abs(inertial) + np.abs(np.hstack((by_inputs, by_reactions))) @ np.abs(unknown)
-    rounding = np.maximum(np.nan_to_num(np.abs(by_data) * data, posinf=0.0).sum(axis=1), terms.max(initial=0.0))
+    terms = np.abs(known) + np.abs(inertial) + np.abs(np.hstack((wrt_inputs, wrt_reactions))) @ np.abs(unknown)
+    rounding = np.maximum(np.nan_to_num(np.abs(wrt_data) * data, posinf=0.0).sum(axis=1), terms.max(initial=0.0))
     return _Equations(
-        known + by_reactions[:, :n_c] @ multipliers - inertial, by_inputs, by_reactions, terms, ROUNDED * rounding
+        known + wrt_reactions[:, :n_c] @ multipliers - inertial,
+        wrt_inputs,
+        wrt_reactions,
+        terms,
+        ROUNDING_RTOL * rounding,
     )
 
 
@@ -531,7 +535,7 @@ def _newton(at: _Instant, accelerations: Floats, rows: list[int], unknown: Float
         if not equations.are_finite:
             return None
         error = equations.error
-        if iteration and (error <= BALANCED or (error > 0.5 * before and equations.are_rounded)):
+        if iteration and (error <= RESIDUAL_RTOL or (error > 0.5 * before and equations.are_rounded)):
             return unknown[: len(rows)]
         step, before = _step(equations), error
         if step is None:
@@ -556,12 +560,12 @@ def _step(equations: _Equations) -> Floats | None:
     They are if no combination of their columns is one of the reactions' columns. Reactions of redundant constraints are
     those of minimum norm.
     """
-    matrix, k = np.hstack((equations.by_inputs, equations.by_reactions)), equations.by_inputs.shape[1]
+    matrix, k = np.hstack((equations.wrt_inputs, equations.wrt_reactions)), equations.wrt_inputs.shape[1]
     rows = np.abs(matrix).max(axis=1, initial=0.0)
     rows[rows == 0.0] = 1.0
-    columns = np.maximum(np.abs(matrix / rows[:, None]).max(axis=0, initial=0.0), SMALL)
+    columns = np.maximum(np.abs(matrix / rows[:, None]).max(axis=0, initial=0.0), MIN_COLUMN_SIZE)
     scaled = matrix / rows[:, None] / columns
-    step, _, rank, _ = np.linalg.lstsq(scaled, -equations.residual / rows, rcond=RANK)
-    if rank < k + np.linalg.matrix_rank(scaled[:, k:], rtol=RANK):
+    step, _, rank, _ = np.linalg.lstsq(scaled, -equations.residual / rows, rcond=RANK_RTOL)
+    if rank < k + np.linalg.matrix_rank(scaled[:, k:], rtol=RANK_RTOL):
         return None
     return np.asarray(step / columns)

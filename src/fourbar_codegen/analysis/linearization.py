@@ -76,8 +76,8 @@ def linearize(
     if outputs is not None:
         rows = dict(zip(model.states, dx, strict=True))
         if not rows.keys() >= {*names}:
-            by_state, by_inputs = model.output_derivatives(t, state, p, r)
-            rows.update(zip(model.outputs, by_state @ dx + by_inputs @ dr, strict=True))
+            wrt_state, wrt_inputs = model.output_derivatives(t, state, p, r)
+            rows.update(zip(model.outputs, wrt_state @ dx + wrt_inputs @ dr, strict=True))
         matrices.append(np.reshape([rows[name] for name in names], (len(names), len(free))))
     return Linearization(
         tuple(part for matrix in matrices for part in (matrix[:, :n_i], matrix[:, n_i:])),

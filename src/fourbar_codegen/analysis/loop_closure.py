@@ -10,34 +10,34 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.kernel.dependent import SINGULAR
+from fourbar_codegen.kernel.dependent import SINGULAR_RTOL
 from fourbar_codegen.kernel.kernel import Kernel
 
 __all__ = ["Loops", "mechanism_size", "nearest_closed", "require_closed", "row_scales"]
 
 Floats = NDArray[np.float64]
 
-CLOSED = 1e-10
+CLOSURE_RTOL = 1e-10
 """Tolerance of closed loops: constraint violations relative to their scales."""
 
-ROUNDING = 4.0 * np.finfo(float).eps
+ROUNDING_RTOL = 4.0 * np.finfo(float).eps
 """Constraint violations by rounding errors, relative to their scales."""
 
 TURN = 2.0 * np.pi
 
-SAME = 1e-9
+PERIOD_RTOL = 1e-9
 """A coordinate is an angle if a whole turn changes residuals and their derivatives by no more than this."""
 
-DEAD = 1e-5
+SINGULAR_RATIO = 1e-5
 """If singular values of the Jacobian have this ratio, the configuration is singular, since two assembly modes meet:
 positions are known only to half of all digits, and speeds are undetermined."""
 
-NEARLY_CLOSED = 1e-6
+LOOSE_CLOSURE_RTOL = 1e-6
 """Largest constraint violations of a state that is given, relative to their scales."""
 
 MAX_CORRECTIONS = 30
 
-SAMPLES = 16
+N_SAMPLES = 16
 """Positions at which the sizes of constraints are looked at."""
 
 
@@ -112,7 +112,7 @@ class Loops:
             np.column_stack(self.model.position(self.t, q + TURN * column, self.p, self.r))
             for column in np.eye(self.model.n_q)
         ]
-        return np.array([np.allclose(there, known, rtol=SAME, atol=SAME) for there in turned], dtype=bool)
+        return np.array([np.allclose(there, known, rtol=PERIOD_RTOL, atol=PERIOD_RTOL) for there in turned], dtype=bool)
 
     def scale(self, q: Floats) -> Floats:
         """The scale of each constraint, by which violations are measured, shape (n_h,)."""
@@ -131,17 +131,17 @@ class Loops:
             return np.zeros(self.model.n_h, dtype=bool)
         q = self.coordinates(dependent)
         if np.abs(q).max() <= TURN:
-            allowed = CLOSED * self.scale(q)
+            allowed = CLOSURE_RTOL * self.scale(q)
         else:
             within = np.where(self.angles, np.remainder(q + np.pi, TURN) - np.pi, q)
             with_own = self.coordinates(within[self.dependent])
-            allowed = CLOSED * self.scale(within) + ROUNDING * self.scale(with_own)
+            allowed = CLOSURE_RTOL * self.scale(within) + ROUNDING_RTOL * self.scale(with_own)
         return np.asarray((np.abs(self.residual(dependent)) <= allowed) & np.isfinite(allowed))
 
     def uncertainty(self, dependent: Floats) -> Floats:
         """The change of a solution by rounding errors of the constraints, shape (n,)."""
         slopes = np.abs(np.linalg.pinv(self.jacobian(dependent)))
-        moved: Floats = slopes @ (ROUNDING * self.scale(self.coordinates(dependent)))
+        moved: Floats = slopes @ (ROUNDING_RTOL * self.scale(self.coordinates(dependent)))
         return moved
 
     def are_closed(self, dependent: Floats) -> bool:
@@ -197,7 +197,7 @@ def nearest_closed(model: Kernel, t: float, q: Floats, p: Floats | None, r: Floa
             return None
         if loops.are_closed(q):
             return q
-        q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR)[0]
+        q = q - np.linalg.lstsq(slopes, residual, rcond=SINGULAR_RTOL)[0]
     return None
 
 
@@ -225,7 +225,7 @@ def row_scales(
     """
     generator = np.random.default_rng(0)
     sizes: list[tuple[Floats, Floats]] = []
-    for k in range(SAMPLES):
+    for k in range(N_SAMPLES):
         at = q + scales * generator.uniform(-np.pi, np.pi, model.n_q) * bool(k)
         rows = model.position(t, at, p, r)[1] * scales
         jacobian = model.velocity(t, np.concatenate((at, np.zeros(model.n_x - model.n_q))), p, r)[0]
@@ -242,8 +242,8 @@ def require_closed(model: Kernel, t: float, x: Floats, p: Values | None, r: Valu
     # At rest, speeds are only rounding errors: the scale takes them as 1 at least.
     velocity_scale = velocity_scale + np.abs(model.velocity(t, x, p, r)[0]).sum(axis=1)
     closed = (
-        *(np.abs(positions) <= NEARLY_CLOSED * position_scale),
-        *(np.abs(velocities) <= NEARLY_CLOSED * velocity_scale),
+        *(np.abs(positions) <= LOOSE_CLOSURE_RTOL * position_scale),
+        *(np.abs(velocities) <= LOOSE_CLOSURE_RTOL * velocity_scale),
     )
     if not all(closed):
         q, u = (", ".join(f"{n} = {v:.6g}" for n, v in zip(names, x[start:], strict=False)) for names, start in

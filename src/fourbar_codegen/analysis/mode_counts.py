@@ -30,13 +30,13 @@ Mask = NDArray[np.bool_]
 UNCERTAIN, NO_COUNT = -1, -2
 """Instead of a number of modes: double precision does not tell; loops are not solved one after another."""
 
-ROUNDING = 1e-11
+ROUNDING_RTOL = 1e-11
 """A coefficient is zero below this fraction of its terms."""
 
 REAL, NOT_REAL = 1e-9, 1e-4
 """Relative distances of roots from real numbers, up to which they are real, and from which on they are not."""
 
-DOUBLE = 1e-5
+DOUBLE_ROOT_RTOL = 1e-5
 """Relative distance of roots that may be double."""
 
 COMMON, NOT_COMMON = 1e-9, 1e-5
@@ -125,7 +125,7 @@ def _in_units(polynomial: Polynomial, units: Floats, n: int) -> Polynomial:
     """A polynomial in unknowns in these units, without coefficients that are rounding errors; arrays of n entries."""
     found = {powers: np.broadcast_to(c * np.prod(units**powers), n) for powers, c in polynomial.items()}
     largest = np.max([np.abs(c) for c in found.values()], axis=0, initial=0.0)
-    return {powers: c for powers, c in found.items() if (np.abs(c) > ROUNDING * largest).any()}
+    return {powers: c for powers, c in found.items() if (np.abs(c) > ROUNDING_RTOL * largest).any()}
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class _Roots:
         shape = np.broadcast_shapes(*(np.shape(c) for c in coefficients.values()))
         rising = np.stack([np.broadcast_to(coefficients.get(k, 0.0), shape) for k in powers], axis=-1).astype(complex)
         largest, n = np.abs(rising).max(axis=-1), len(powers) - 1
-        is_finite = np.asarray(np.abs(rising[..., -1]) > DOUBLE * np.maximum(largest, size))
+        is_finite = np.asarray(np.abs(rising[..., -1]) > DOUBLE_ROOT_RTOL * np.maximum(largest, size))
         companion = np.zeros((*shape, n, n), dtype=complex)
         companion[..., range(1, n), range(n - 1)] = 1.0
         if n:
@@ -174,8 +174,8 @@ class _Roots:
             points,
             away <= REAL,
             (away <= REAL) | (away >= NOT_REAL),
-            is_finite & (gaps > DOUBLE * sizes[..., None]).all(axis=(-2, -1)),
-            np.asarray(largest <= ROUNDING * size),
+            is_finite & (gaps > DOUBLE_ROOT_RTOL * sizes[..., None]).all(axis=(-2, -1)),
+            np.asarray(largest <= ROUNDING_RTOL * size),
         )
 
 
@@ -201,7 +201,7 @@ def _solutions(polynomials: list[Polynomial], is_angle: list[bool]) -> tuple[lis
     if is_angle[1] and not is_angle[0]:  # as in `polynomials`
         swapped = _solutions([{(b, a): c for (a, b), c in f.items()} for f in polynomials], is_angle[::-1])
         return None if swapped is None else (swapped[0][::-1], *swapped[1:])
-    pair = reduced(polynomials, is_angle[1], ROUNDING)
+    pair = reduced(polynomials, is_angle[1], ROUNDING_RTOL)
     if not all(pair):
         return None
     resultant, size = _resultant(*pair)
@@ -271,4 +271,4 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> tuple[
             matrix[..., row, k + shift] = values
     size = np.linalg.norm(matrix, axis=-1).prod(axis=-1).max(axis=-1)
     coefficients = np.fft.fft(np.linalg.det(matrix), axis=-1) / (degree + 1)
-    return {k: c for k, c in enumerate(coefficients.T) if (np.abs(c) > ROUNDING * size).any()}, size
+    return {k: c for k, c in enumerate(coefficients.T) if (np.abs(c) > ROUNDING_RTOL * size).any()}, size

@@ -24,18 +24,18 @@ from fourbar_codegen.layout import Formulas
 
 __all__ = ["Coefficients", "Constraints", "Polynomial", "at", "real_roots", "reduced", "terms_of"]
 
-DIGITS = 25
+ROOT_DIGITS = 25
 """Digits of a root; a root of multiplicity m has only 1/m of the coefficients' digits."""
 
 COEFFICIENT_DIGITS = 100
 
-ROUNDING = 1e-80
+COEFFICIENT_RTOL = 1e-80
 """A coefficient is zero below this fraction of its bound."""
 
-RELATIVE_ZERO = 1e-18
-"""Coefficients on a line through a root, which has `DIGITS`, are zero below this fraction of their terms."""
+LINE_RTOL = 1e-18
+"""Coefficients on a line through a root, which has `ROOT_DIGITS`, are zero below this fraction of their terms."""
 
-NEAR = 1e-5
+REAL_ROOT_RTOL = 1e-5
 """Relative tolerance for a root to be real. Where two real roots meet, data known to 1e-13 give roots to 3e-7."""
 
 MAX_DEGREE = 64
@@ -177,7 +177,8 @@ class Constraints:
             if polynomial is None or not all(map(expansion.numbers.isfinite, polynomial.values())):
                 return None
             scale, largest = expansion.exact(factor), sum(map(abs, polynomial.values()))
-            found.append({powers: scale * c for powers, c in polynomial.items() if np.any(abs(c) > ROUNDING * largest)})
+            bound = COEFFICIENT_RTOL * largest
+            found.append({powers: scale * c for powers, c in polynomial.items() if np.any(abs(c) > bound)})
         return found
 
 
@@ -338,9 +339,9 @@ def real_roots(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> l
     Returns
     -------
     list of tuple of float, or None
-        Angles between -pi and pi, and displacements. They include real parts of nearly real roots (see `NEAR`) and, for
-        two polynomials, further points on the same lines, so candidates have to be tested. None if there are infinitely
-        many roots, or the degree is too high.
+        Angles between -pi and pi, and displacements. They include real parts of nearly real roots (see
+        `REAL_ROOT_RTOL`) and, for two polynomials, further points on the same lines, so candidates have to be tested.
+        None if there are infinitely many roots, or the degree is too high.
 
     Examples
     --------
@@ -402,7 +403,7 @@ def _real_pairs(polynomials: Sequence[Polynomial], is_angle: Sequence[bool]) -> 
         terms = [max(_at_size(coefficient, x) for coefficient in f.values()) for f in pair]
         isolating = False
         for line, size in zip(lines, terms, strict=True):
-            held = {k: c for k, c in line.items() if abs(c) > RELATIVE_ZERO * size}
+            held = {k: c for k, c in line.items() if abs(c) > LINE_RTOL * size}
             if not held:
                 continue
             isolating = True
@@ -425,7 +426,7 @@ def _by_second(polynomial: Polynomial, is_angle: bool) -> dict[int, Coefficients
 
 
 def reduced(
-    polynomials: Sequence[Polynomial], is_angle: bool, rounding: float = ROUNDING
+    polynomials: Sequence[Polynomial], is_angle: bool, rounding: float = COEFFICIENT_RTOL
 ) -> list[dict[int, Coefficients]]:
     """Two polynomials with the same common roots, of lower degree in the second unknown, by powers of that.
 
@@ -507,7 +508,7 @@ def _resultant(f: dict[int, Coefficients], g: dict[int, Coefficients]) -> Coeffi
     coefficients = {
         k: sum(value / x**k for value, x in zip(values, points, strict=True)) / (degree + 1) for k in range(degree + 1)
     }
-    held = {k: c for k, c in coefficients.items() if abs(c) > ROUNDING * bound}
+    held = {k: c for k, c in coefficients.items() if abs(c) > COEFFICIENT_RTOL * bound}
     return held or None
 
 
@@ -539,7 +540,7 @@ def _roots(coefficients: Coefficients, is_angle: bool) -> list[Any] | None:
     falling = [coefficients.get(k, _numbers().zero) for k in range(highest, lowest - 1, -1)]
     numbers = _numbers()
     bits = numbers.prec
-    with numbers.workdps(DIGITS):
+    with numbers.workdps(ROOT_DIGITS):
         try:
             roots = numbers.polyroots(falling, maxsteps=2000, extraprec=bits)
         except numbers.NoConvergence:
@@ -554,8 +555,8 @@ def _value(root: Any, is_angle: bool) -> float:
 def _near_real(roots: list[Any], is_angle: bool) -> list[Any]:
     """The roots that are real up to rounding errors of the data."""
     if is_angle:
-        return [root for root in roots if abs(abs(root) - 1) <= NEAR]
-    return [root for root in roots if abs(_numbers().im(root)) <= NEAR * max(abs(root), 1)]
+        return [root for root in roots if abs(abs(root) - 1) <= REAL_ROOT_RTOL]
+    return [root for root in roots if abs(_numbers().im(root)) <= REAL_ROOT_RTOL * max(abs(root), 1)]
 
 
 def _real(roots: list[Any], is_angle: bool) -> list[float]:

@@ -20,13 +20,13 @@ from graphlib import TopologicalSorter
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.analysis.loop_closure import SAME, TURN, Loops
+from fourbar_codegen.analysis.loop_closure import PERIOD_RTOL, TURN, Loops
 
 __all__ = ["OpenLoop", "close_in_stages", "stages", "turned_towards"]
 
 Floats = NDArray[np.float64]
 
-POINTS = 4
+N_POINTS = 4
 """Random configurations at which the Jacobian is evaluated to find its structure."""
 
 
@@ -104,7 +104,7 @@ def close_in_stages(
         Those that were not closed.
     """
     generator = np.random.default_rng(0)
-    slopes = [loops.position(start + generator.uniform(-1.0, 1.0, len(start)))[1] for _ in range(POINTS)]
+    slopes = [loops.position(start + generator.uniform(-1.0, 1.0, len(start)))[1] for _ in range(N_POINTS)]
     incidence = np.any([matrix != 0.0 for matrix in slopes], axis=0)
     lower, upper = bounds if bounds else (np.full(len(start), -np.inf), np.full(len(start), np.inf))
     dependent, open_loops = np.clip(start, lower, upper), []
@@ -131,7 +131,7 @@ def turned_towards(loops: Loops, dependent: Floats, guess: Floats) -> Floats:
         for period in (TURN, 2.0 * TURN):
             before = result[column]
             result[column] -= period * np.round((before - guess[column]) / period)
-            if np.allclose(np.column_stack(loops.position(result)), known, rtol=SAME, atol=SAME):
+            if np.allclose(np.column_stack(loops.position(result)), known, rtol=PERIOD_RTOL, atol=PERIOD_RTOL):
                 break
             result[column] = before
     return result

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from fourbar_codegen.errors import CacheError
-from fourbar_codegen.progress import PATIENCE, Progress
+from fourbar_codegen.progress import QUIET_SECONDS, Progress
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -184,7 +184,7 @@ def _held(lock: BaseFileLock, holder: Path, name: str) -> Iterator[None]:
     try:
         lock.acquire(timeout=0.0)
     except Timeout:
-        with Progress(f"fourbar_codegen: {name}", unwatched=PATIENCE) as progress:
+        with Progress(f"fourbar_codegen: {name}", unwatched=QUIET_SECONDS) as progress:
             try:
                 by = holder.read_text(encoding="utf-8")
             except OSError:  # the process has just begun or ended
@@ -437,7 +437,7 @@ def is_whole(folder: Path, *names: str) -> bool:
 
     All files, or those of some names, as far as the folder has checksums of them.
 
-    Sources are checked too, since they are compiled later for many states at once, and are sent with a model.
+    Sources are checked too, since they are compiled later for batches of states, and are sent with a model.
     """
     checksums = _checksums(folder)
     if checksums is not None and names:

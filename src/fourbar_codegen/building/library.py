@@ -1,7 +1,7 @@
 """Sources -> shared libraries for this machine, for `compile_model`: only C, without Python.
 
 A model consists of parts. A simulation needs the kernel; derivatives, their products with vectors and the functions for
-several states side by side are compiled at their first use. The kernel's library contains the model's structure: names,
+batches of states are compiled at their first use. The kernel's library contains the model's structure: names,
 order, formulas. Its numbers are in a file beside it (defaults, units, initial values, also the fingerprint and
 operation counts), so models that differ only in these share a library.
 """
@@ -47,7 +47,7 @@ LATER = "_later.pickle"
 INLINED = "#define FB_SHORT\n"
 """A line of short kernels, in which all functions that the right-hand side calls are also inlined into it."""
 
-ATTEMPTS = 5
+MAX_ATTEMPTS = 5
 """Attempts to use an entry of the cache that other processes remove."""
 
 
@@ -163,7 +163,7 @@ def install(
             _write_numbers(replace(layout, compared=compared), library)
         checked = True
 
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_ATTEMPTS):
         library = build_part(name, "kernel", sources, layout.structure, check=complete)
         with suppress(FileNotFoundError):  # if another process has removed it in between, to keep the cache small
             if not checked:  # it existed, for a model with other numbers, or one that was not checked
@@ -176,7 +176,7 @@ def install(
 def removed(path: Path) -> CacheError:
     """The error if other processes keep removing a new entry of the cache."""
     return CacheError(
-        f"{path} was removed {ATTEMPTS} times right after it was built: allow a larger cache, by the environment "
+        f"{path} was removed {MAX_ATTEMPTS} times right after it was built: allow a larger cache, by the environment "
         f"variable {SIZE_LIMIT}, and clear it only when nothing is compiled."
     )
 

@@ -78,10 +78,10 @@ class _Running:
 TIME_LIMIT = "FOURBAR_CODEGEN_TIME_LIMIT"
 """The environment variable with the time limit of a tool in seconds; an hour by default."""
 
-LONGEST = 1e6
+MAX_TIMEOUT = 1e6
 """Time limits from this number of seconds on are ignored; poll() counts milliseconds in 32 bits."""
 
-PAUSE = 0.5
+POLL_INTERVAL = 0.5
 """Seconds between checks for interrupts while waiting for tools."""
 
 # Without debugging information, which would double the file. On Windows, compilers refuse -fPIC, since all code is
@@ -89,7 +89,7 @@ PAUSE = 0.5
 COMMON_FLAGS = ("-g0",) if os.name == "nt" else ("-fPIC", "-g0")
 # Scalar straight-line code stores results that vectorized loops would reload two at a time, which stalls the
 # processor: -fno-tree-vectorize saves 10 % of the four-bar's evaluation. Short loops of the solve, and those over
-# states side by side, need to be unrolled, which -O2 does not do. The rest of -O3 takes a third of the compilation
+# batches of states, need to be unrolled, which -O2 does not do. The rest of -O3 takes a third of the compilation
 # time, without a gain.
 KERNEL_FLAGS = (*COMMON_FLAGS, "-O2", "-fpeel-loops", "-fno-tree-vectorize")
 # Beyond -O1, compilation takes 50 % longer, and saves a few per cent in long straight-line code.
@@ -277,7 +277,7 @@ def compile_library(library: Path, sources: Mapping[str, str], units: Mapping[st
             (Path(temporary) / filename).write_text(text, encoding="utf-8")
         more = ("-DFB_ONE_MACHINE", *find_compiler().machine_flags)
         flags = {Path(temporary) / filename: (*own, *more) for filename, own in units.items()}
-        return _link(_side_by_side([partial(_compile, *unit) for unit in flags.items()]), library)
+        return _link(_concurrently([partial(_compile, *unit) for unit in flags.items()]), library)
 
 
 def compile_shared(library: Path, folder: Path, sources: Sequence[str], target: str | None = None) -> Path:
@@ -305,7 +305,7 @@ def compile_shared(library: Path, folder: Path, sources: Sequence[str], target: 
         return _run_compiler(compiler, [*words, *compiler.link_flags, "-lm"], library)
     own = (*COMMON_FLAGS, *flags, *find_compiler().portable_flags)
     jobs = [partial(_compile, folder / source, own) for source in sources]
-    return _link([*_side_by_side(jobs), Path("-lm")], library)
+    return _link([*_concurrently(jobs), Path("-lm")], library)
 
 
 WASM_FLAGS = ("-g0", "-O2", "-std=c11", "-fvisibility=hidden")
@@ -410,11 +410,11 @@ def _build(name: str, sources: Mapping[str, str], folder: Path) -> Path:
     def compile_wrapper(running: _Running) -> Path:
         return _compile(_cythonize(folder / f"{name}.pyx"), (*WRAPPER_FLAGS, *more), running, _python_folders())
 
-    objects = _side_by_side([compile_wrapper, *(partial(_compile, *unit) for unit in flags.items())])
+    objects = _concurrently([compile_wrapper, *(partial(_compile, *unit) for unit in flags.items())])
     return _link(objects, folder / f"{name}{sysconfig.get_config_var('EXT_SUFFIX')}")
 
 
-def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
+def _concurrently(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
     """The results of jobs, run two at a time; if one fails, the tools of the others are stopped."""
     from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 
@@ -424,7 +424,7 @@ def _side_by_side(jobs: Sequence[Callable[[_Running], Path]]) -> list[Path]:
             submitted = [pool.submit(job, running) for job in jobs]
             pending = set(submitted)
             while pending:  # short waits: an interrupt just before a wait is only noticed after it
-                done, pending = wait(pending, PAUSE, FIRST_COMPLETED)
+                done, pending = wait(pending, POLL_INTERVAL, FIRST_COMPLETED)
                 for job in done:
                     job.result()
             return [job.result() for job in submitted]
@@ -550,7 +550,7 @@ def _time_limit() -> float | None:
         limit = 0.0
     if not limit > 0.0:
         raise BuildError(f"The environment variable {TIME_LIMIT} is a positive number of seconds, not {text!r}.")
-    return limit if limit < LONGEST else None
+    return limit if limit < MAX_TIMEOUT else None
 
 
 def _stop(process: subprocess.Popen[str]) -> None:

@@ -35,7 +35,7 @@ OPERATORS: dict[type, Callable[..., float]] = {
     ast.USub: operator.neg,
 }
 
-LONGEST = 1000
+MAX_LENGTH = 1000
 """Largest number of characters: Python's parser is recursive."""
 
 
@@ -95,8 +95,8 @@ def parse(text: str, names: Collection[str]) -> Arithmetic:
     >>> parse("50*sin(pi*t)", {"t"})({"t": 0.5})
     50.0
     """
-    if len(text) > LONGEST:
-        raise ModelError(f"An expression has at most {LONGEST} characters, not {len(text)}.")
+    if len(text) > MAX_LENGTH:
+        raise ModelError(f"An expression has at most {MAX_LENGTH} characters, not {len(text)}.")
     try:
         tree = ast.parse(text.strip(), mode="eval").body
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

@@ -16,7 +16,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.models import MODEL, MODEL_HELP, compiled_model, source_model
 from fourbar_codegen.cli.options import (
-    MOST_MEMBERS,
+    MAX_MEMBERS,
     PAGE_OPTIONS,
     RUN_OPTIONS,
     SWEEP_OPTIONS,
@@ -27,7 +27,7 @@ from fourbar_codegen.cli.options import (
 )
 from fourbar_codegen.errors import INTERRUPTED
 from fourbar_codegen.files import save, writer_of
-from fourbar_codegen.progress import PATIENCE, Progress
+from fourbar_codegen.progress import QUIET_SECONDS, Progress
 
 if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel, Ensemble, Trajectory
@@ -203,15 +203,15 @@ def sweep(
     if not swept:
         raise fb.ModelError("There is nothing to sweep: give a parameter a range, such as -p NAME=FIRST:LAST:N.")
     n = math.prod(map(len, swept.values()))
-    if n > MOST_MEMBERS:
-        raise fb.ModelError(f"A sweep has at most {MOST_MEMBERS} runs, not {n}.")
+    if n > MAX_MEMBERS:
+        raise fb.ModelError(f"A sweep has at most {MAX_MEMBERS} runs, not {n}.")
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     _check_plotted(compiled, plotted)
     grid = np.array(list(itertools.product(*swept.values())))
     members = [parameters | dict(zip(swept, row.tolist(), strict=True)) for row in grid]
     x0 = np.full((n, compiled.n_x), np.nan)
     failures = {}
-    with Progress(compiled.name, unwatched=PATIENCE) as progress:
+    with Progress(compiled.name, unwatched=QUIET_SECONDS) as progress:
         for place, member in enumerate(members):
             progress.stage(f"initial state {place + 1} of {n}")
             try:

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel
 
 __all__ = [
+    "MAX_MEMBERS",
     "METHODS",
-    "MOST_MEMBERS",
     "PAGE_OPTIONS",
     "RUN_OPTIONS",
     "SWEEP_OPTIONS",
@@ -34,7 +34,7 @@ __all__ = [
 METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 SWEEP_METHODS = METHODS[:2]
 
-MOST_MEMBERS = 1_000_000
+MAX_MEMBERS = 1_000_000
 """Largest number of members of a sweep."""
 
 Texts = dict[str, str]
@@ -84,7 +84,7 @@ def _ranges(
     for name, text in _pairs(context, option, texts).items():
         if ":" in text:
             parts = text.split(":")
-            if len(parts) != 3 or not parts[2].strip().isdecimal() or not 1 <= int(parts[2]) <= MOST_MEMBERS:
+            if len(parts) != 3 or not parts[2].strip().isdecimal() or not 1 <= int(parts[2]) <= MAX_MEMBERS:
                 raise click.BadParameter(f"{name}={text} is not FIRST:LAST:N, such as {name}=0.4:0.5:11.")
             found[name] = np.linspace(number(name, parts[0]), number(name, parts[1]), int(parts[2]))
         elif "," in text:

@@ -36,13 +36,13 @@ __all__ = ["ANGLES", "CARRIED", "Text"]
 CARRIED = "carried"
 """The array that passes values between the parts of a long function."""
 
-EXACT = 2**53
+MAX_EXACT_INTEGER = 2**53
 """Integers below this are exact in double."""
 
 ANGLES = "angles"
 """Name of the variables for sines and cosines that are evaluated together, followed by a number."""
 
-OF_NUMBER = {"fb_real": "fb_number", "fb_many": "fb_all"}
+OF_NUMBER = {"fb_real": "fb_number", "fb_simd": "fb_all"}
 """Functions that make vectors of numbers."""
 
 RESERVED = frozenset(
@@ -66,7 +66,7 @@ class Text:
     Parameters
     ----------
     scheduled : ScheduledFunction
-    real : {"fb_real", "fb_many", "double"}, optional
+    real : {"fb_real", "fb_simd", "double"}, optional
         The type of its values.
 
     Attributes
@@ -85,7 +85,7 @@ class Text:
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
         operation, text = self.operations[line], self._operation(self.operations[line])[0]
-        if not isinstance(operation, Call) or self.real != "fb_real" or _is_side_by_side(operation):
+        if not isinstance(operation, Call) or self.real != "fb_real" or _is_vectorized(operation):
             return text
         # C has these functions for double only.
         arguments = [self.names[argument] for argument in operation.arguments]
@@ -137,7 +137,7 @@ class Text:
                 return f"1.0/{self._below(operation.node)}", False
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
-                inline = self.inline_angles and (self.real == "double" or _is_side_by_side(operation))
+                inline = self.inline_angles and (self.real == "double" or _is_vectorized(operation))
                 return _print(_Printer(names, "fb_" if inline else "", OF_NUMBER.get(self.real, "")), expression), False
         raise TypeError(f"{operation} has no text")
 
@@ -154,8 +154,8 @@ class Text:
         return self._node(node)[0] if node in self.names else f"({self._node(node)[0]})"
 
 
-def _is_side_by_side(call: Call) -> bool:
-    """Whether it is a sine, a cosine or an absolute value, which the runtime evaluates for states side by side."""
+def _is_vectorized(call: Call) -> bool:
+    """Whether it is a sine, a cosine or an absolute value, which the runtime evaluates in the lanes of vectors."""
     return isinstance(call.expression, sm.sin | sm.cos | sm.Abs) and len(call.arguments) == 1
 
 
@@ -168,7 +168,7 @@ def _literal(value: Number) -> str:
         number = math.inf
     if not math.isfinite(number) or (value != 0 and number == 0.0):
         raise ModelError(f"The model contains {shown(value)}, which is beyond the range of double.")
-    if isinstance(value, Fraction) and max(abs(value.numerator), value.denominator) < EXACT:
+    if isinstance(value, Fraction) and max(abs(value.numerator), value.denominator) < MAX_EXACT_INTEGER:
         return f"({float(value.numerator)!r}/{float(value.denominator)!r})"
     return repr(number)
 
@@ -223,7 +223,7 @@ class _Printer(C99CodePrinter):
         if expr.args[-1].cond != sm.true:
             # Outside of all conditions, such as beyond the ends of a spline, it has no value.
             expr = sm.Piecewise(*expr.args, (sm.nan, True), evaluate=False)
-        if self.of_number == OF_NUMBER["fb_many"]:
+        if self.of_number == OF_NUMBER["fb_simd"]:
             # The conditions are those of one state, so that whole vectors are chosen.
             branches = []
             for number, (branch, condition) in enumerate(expr.args):

@@ -353,8 +353,8 @@ int {name}_project(struct {name} *model);
 const char *{name}_message(int status);
 
 /* In {name}_derivatives.c, which may be left out: the derivatives of dx/dt with respect to states, parameters and
- * inputs, {name}_n_x rows each, those by parameters also through the expressions of inputs that are not held; and the
- * positions of points, three coordinates each. */
+ * inputs, {name}_n_x rows each, those with respect to parameters also through the expressions of inputs that are not
+ * held; and the positions of points, three coordinates each. */
 int {name}_jacobian(struct {name} *model, double *jacobian);
 int {name}_parameter_jacobian(struct {name} *model, double *jacobian);
 int {name}_input_jacobian(struct {name} *model, double *jacobian);

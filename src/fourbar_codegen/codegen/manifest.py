@@ -11,7 +11,7 @@ import sympy as sm
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
 from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.dynamics.jumps import jumps
+from fourbar_codegen.dynamics.state_jumps import state_jumps
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
 from fourbar_codegen.layout import (
     Breakpoints,
@@ -19,7 +19,6 @@ from fourbar_codegen.layout import (
     Dependencies,
     Drawing,
     Input,
-    Jump,
     Layout,
     Operations,
     Parameter,
@@ -27,6 +26,7 @@ from fourbar_codegen.layout import (
     PotentialEnergy,
     Shape,
     ShapeKind,
+    StateJump,
 )
 from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.modeling import model as modeling
@@ -76,7 +76,9 @@ def layout_of(
         undetermined_outputs=_undetermined_outputs(equations, program, names["outputs"]),
         constraints=_constraints(model, equations, program),
         breakpoints=Breakpoints(
-            n=program.sizes.n_breakpoints, n_of_motions=equations.inputs.n_jumps, jumps=_jumps(model, equations, names)
+            n=program.sizes.n_breakpoints,
+            n_motion_breakpoints=equations.inputs.n_motion_breakpoints,
+            state_jumps=_state_jumps(model, equations, names),
         ),
         drawing=_drawing(model, equations),
         potential_energy=PotentialEnergy(is_known=not energies[1].is_nan, without=equations.energy.without),
@@ -125,7 +127,7 @@ def _drawing(model: Model, equations: Equations) -> Drawing:
     )
 
 
-def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> tuple[Jump, ...]:
+def _state_jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> tuple[StateJump, ...]:
     """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
     values = {}
     for leaf, name in zip(equations.variables.parameters, names["parameters"], strict=True):
@@ -133,7 +135,7 @@ def _jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]
         if value is not None:
             values[leaf] = value
     states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
-    return tuple(jumps(equations, states, _base_names(model, names["inputs"]), values))
+    return tuple(state_jumps(equations, states, _base_names(model, names["inputs"]), values))
 
 
 def _dependencies(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> Dependencies:

@@ -47,10 +47,10 @@ __all__ = ["find_contradictions"]
 
 Floats = NDArray[np.float64]
 
-STATES = 5
-ALIKE = 1e-6
+N_STATES = 5
+AGREEMENT_RTOL = 1e-6
 """Vectors agree if they differ by at most this fraction of the larger one."""
-SMALL = 1e-3
+MIN_MAGNITUDE = 1e-3
 """Smallest magnitude that differences are compared with; states are of the order of 1."""
 
 
@@ -102,7 +102,7 @@ def find_contradictions(
     states = RandomStates(tape, _substituted(tape, constraints, by_default), values, scalars, more)
     found: dict[str, str] = {}
     values_there = None
-    for values_there in islice(states.moving(speeds, accelerations), STATES):
+    for values_there in islice(states.moving(speeds, accelerations), N_STATES):
         at = (values_there, *numbers.orientations(values_there))
         for claim in claims:
             was_set, follows = claim.was_set(*at), [vector(*at) for vector in claim.follows]
@@ -134,8 +134,8 @@ def _substituted(tape: Tape, constraints: Constraints, values: Mapping[Scalar, S
 
 def _differ(a: Floats, b: Floats) -> bool:
     """Whether two vectors differ, or one of them is NaN."""
-    size = max(float(np.linalg.norm(a)), float(np.linalg.norm(b)), SMALL)
-    return not float(np.linalg.norm(a - b)) <= ALIKE * size
+    size = max(float(np.linalg.norm(a)), float(np.linalg.norm(b)), MIN_MAGNITUDE)
+    return not float(np.linalg.norm(a - b)) <= AGREEMENT_RTOL * size
 
 
 def _shown(vector: Floats) -> str:
@@ -344,7 +344,8 @@ def _where_constant(vector: _Evaluated, offset: _Evaluated, change: _Evaluated) 
 
     def evaluated(*at: Any) -> Floats:
         r, rate = offset(*at), change(*at)
-        is_constant = abs(r @ rate) <= ALIKE * np.linalg.norm(r) * max(float(np.linalg.norm(rate)), SMALL)
+        size = max(float(np.linalg.norm(rate)), MIN_MAGNITUDE)
+        is_constant = abs(r @ rate) <= AGREEMENT_RTOL * np.linalg.norm(r) * size
         return vector(*at) if is_constant else np.full(3, np.nan)
 
     return evaluated

@@ -43,11 +43,11 @@ __all__ = ["Corrections", "form_corrections"]
 
 Floats = NDArray[np.float64]
 
-STATES = 8
+N_STATES = 8
 """Number of states at which rows are compared."""
-DEPENDENT = 1e-8
+DEPENDENCE_RTOL = 1e-8
 """Relative tolerance for a row to be a linear combination of others."""
-CONSTANT = 1e-9
+CONSTANT_RTOL = 1e-9
 """Relative tolerance for a coefficient to be the same at all states."""
 MAX_DENOMINATOR = 64
 """Largest denominator of fractions that constant coefficients are rounded to, within the same tolerance."""
@@ -176,7 +176,7 @@ def _combinations(
             continue
         coefficients = np.array([_coefficients(matrix[basis], matrix[row]) for matrix in matrices])
         sizes = np.array([np.linalg.norm(m[basis], axis=1) / np.linalg.norm(m[row]) for m in matrices])
-        needed = np.flatnonzero((np.abs(coefficients) * sizes > DEPENDENT).any(axis=0))
+        needed = np.flatnonzero((np.abs(coefficients) * sizes > DEPENDENCE_RTOL).any(axis=0))
         members = [basis[place] for place in needed]
         factors = [_constant(tape, coefficients[:, place]) for place in needed]
         if any(factor is None for factor, member in zip(factors, members, strict=True) if member < n_k):
@@ -192,11 +192,11 @@ def _kept(states: RandomStates, n_rows: int, positions: Mapping[int, sm.Expr]) -
     n_k, labels = len(positions), [f"holonomic constraint {k + 1}, {shown(e)}," for k, e in positions.items()]
     left, tried = np.full(n_k, np.inf), "at random states"
     for points, where in ((states.anywhere(), tried), (states.closed(), "at random states that satisfy the positions")):
-        matrices = [np.reshape(numbers, (n_rows, -1)) for numbers in islice(points, STATES)]
+        matrices = [np.reshape(numbers, (n_rows, -1)) for numbers in islice(points, N_STATES)]
         if not matrices:
             continue
         left, tried = np.max([_left(matrix, n_k) for matrix in matrices], axis=0), where
-        if (left <= DEPENDENT).all():
+        if (left <= DEPENDENCE_RTOL).all():
             return matrices
     if not np.isfinite(left).all():
         raise ModelError(
@@ -227,14 +227,14 @@ def _left(matrix: Floats, n_k: int) -> Floats:
     if not len(rows):
         return np.ones(n_k)
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
-    combined = np.linalg.lstsq(rows.T, rates.T, rcond=DEPENDENT)[0].T @ rows
+    combined = np.linalg.lstsq(rows.T, rates.T, rcond=DEPENDENCE_RTOL)[0].T @ rows
     return np.asarray(np.linalg.norm(rates - combined, axis=1) / np.where(sizes > 0.0, sizes, 1.0))
 
 
 def _units(matrix: Floats) -> Floats:
     """Column scales, so that metres and radians count alike: the largest entries, but not of tiny columns."""
     size = np.abs(matrix).max(axis=0)
-    return np.asarray(np.where(size > DEPENDENT * size.max(initial=0.0), size, size.max(initial=0.0) or 1.0))
+    return np.asarray(np.where(size > DEPENDENCE_RTOL * size.max(initial=0.0), size, size.max(initial=0.0) or 1.0))
 
 
 def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:
@@ -245,7 +245,7 @@ def _basis(matrix: Floats, n_k: int) -> tuple[list[int], list[int]]:
     for group, members in zip(chosen, (range(n_k), range(n_k, len(matrix))), strict=True):
         for _ in members:
             sizes = np.linalg.norm(left[members.start : members.stop], axis=1)
-            if sizes.max() <= DEPENDENT:
+            if sizes.max() <= DEPENDENCE_RTOL:
                 break
             pivot = members[int(np.argmax(sizes))]
             direction = left[pivot] / np.linalg.norm(left[pivot])
@@ -265,10 +265,10 @@ def _coefficients(basis: Floats, row: Floats) -> Floats:
 def _constant(tape: Tape, values: Floats) -> Scalar | None:
     """A coefficient as a number, if it is the same at all states."""
     first = float(values[0])
-    if not (np.abs(values - first) <= CONSTANT * abs(first)).all():
+    if not (np.abs(values - first) <= CONSTANT_RTOL * abs(first)).all():
         return None
     fraction = Fraction(first).limit_denominator(MAX_DENOMINATOR)
-    value: Number = fraction if abs(fraction - first) <= CONSTANT * abs(first) else first
+    value: Number = fraction if abs(fraction - first) <= CONSTANT_RTOL * abs(first) else first
     return tape.number(value.numerator if isinstance(value, Fraction) and value.denominator == 1 else value)
 
 

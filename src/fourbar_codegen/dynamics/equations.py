@@ -74,8 +74,8 @@ class Inputs:
     prescribed : tuple of int
         The inputs that positions, velocities or constraints depend on.
     breakpoints : Result
-        Times at which the results have a jump or a kink, as far as these follow from parameters, (n_breakpoints,).
-    n_jumps : int
+        Breakpoints of the results, as far as these follow from parameters, (n_breakpoints,).
+    n_motion_breakpoints : int
         The number of breakpoints of positions or velocities, which come first.
     """
 
@@ -83,7 +83,7 @@ class Inputs:
     rates: tuple[tuple[int, int], ...]
     prescribed: tuple[int, ...]
     breakpoints: Result
-    n_jumps: int
+    n_motion_breakpoints: int
 
 
 @dataclass(frozen=True)

@@ -69,7 +69,7 @@ __all__ = ["check_velocity_constraints", "form_equations"]
 WITH_FORCES = ("state_rates", "residual")
 """Results of these parts that may contain unknown forces that drive the motion."""
 
-CLOSED_STATES = 4
+N_CLOSED_STATES = 4
 """States at which redundant constraints are known, for a pivot order."""
 
 
@@ -475,7 +475,7 @@ def _inputs(
         rates=tuple((place, places[rates[leaf]]) for leaf, place in places.items() if rates.get(leaf) in places),
         prescribed=tuple(place for leaf, place in places.items() if leaf.node in moved),
         breakpoints=vector("breakpoints", dict.fromkeys([*jumps, *kinks])),
-        n_jumps=len(jumps),
+        n_motion_breakpoints=len(jumps),
     )
 
 
@@ -504,7 +504,7 @@ def _closed_states(m: _Motion, kane: _KanesEquations, solved: _Solved) -> tuple[
         return ()
     zero, v = [*solved.constraints.positions, *kane.not_orthonormal], m.v
     states = closed_states(m.tape, zero, v.q, v.p, (v.time, *v.u, *v.r), solved.values)
-    return tuple(islice(states, CLOSED_STATES))
+    return tuple(islice(states, N_CLOSED_STATES))
 
 
 def check_velocity_constraints(model: Model) -> None:

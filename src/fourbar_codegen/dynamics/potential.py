@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.dynamics.kane import loads_power
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Kinematics, Vector, dot
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.expressions.antiderivatives import PATIENCE, antiderivative
+from fourbar_codegen.expressions.antiderivatives import MAX_SECONDS, antiderivative
 from fourbar_codegen.expressions.convert import Conversion, substitute
 from fourbar_codegen.expressions.derivatives import Jvp, jacobian, vjp
 from fourbar_codegen.expressions.identities import deduplicate, is_zero
@@ -43,16 +43,16 @@ __all__ = ["Potential", "find_potential"]
 
 Floats = NDArray[np.float64]
 
-ROUNDED = 1e-9
+CANCELLATION_RTOL = 1e-9
 """Relative tolerance for terms to cancel; states satisfy the constraints to about 1e-12."""
 
-MOTIONS = 5
+N_MOTIONS = 5
 """Random motions in which the loads' work is compared with the loss of potential energy."""
 
 TINY = 1e-300
 
-LONGEST = 3
-"""Longest search for the antiderivatives by coordinates of all loads, in searches for one."""
+MAX_SEARCHES = 3
+"""Longest search for the antiderivatives with respect to coordinates of all loads, in searches for one."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ def find_potential(
     """
     tape, mechanism = kinematics.tape, kinematics.mechanism
     foreign = (*auxiliary_states, *others)
-    until = time.thread_time() + LONGEST * PATIENCE
+    until = time.thread_time() + MAX_SEARCHES * MAX_SECONDS
     loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions, until)
     constant = {number: load for number, load in enumerate(mechanism.loads) if loads.is_constant(load)}
     pathways, taken = list[_Part](), {*constant}
@@ -168,7 +168,7 @@ def _sum(own: Scalar, parts: Sequence[_Part], shares: Sequence[Fraction] = ()) -
 def _cancel(values: Floats) -> bool:
     """Whether the values in each row, of which there are some, add up to zero."""
     sums, sizes = np.abs(values.sum(axis=1)), np.abs(values).sum(axis=1)
-    return len(values) > 0 and bool((sums <= ROUNDED * sizes).all())
+    return len(values) > 0 and bool((sums <= CANCELLATION_RTOL * sizes).all())
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,7 @@ class _Loads:
     foreign : sequence of Scalar
         What no potential depends on, though it may change.
     until : float
-        Processor time until which antiderivatives by coordinates are searched for.
+        Processor time until which antiderivatives with respect to coordinates are searched for.
     """
 
     kinematics: Kinematics
@@ -209,7 +209,7 @@ class _Loads:
 
     def cancel(self, terms: Sequence[Scalar]) -> bool:
         """Whether terms add up to zero, identically or in random motions."""
-        return all(is_zero(self.tape, [self.tape.sum(terms)])) or _cancel(self._values(terms, MOTIONS))
+        return all(is_zero(self.tape, [self.tape.sum(terms)])) or _cancel(self._values(terms, N_MOTIONS))
 
     def shares(self, lost: Sequence[Scalar], powers: Sequence[Scalar]) -> list[Fraction] | None:
         """The shares of powers that cancel what is lost; None if there are none.
@@ -217,12 +217,12 @@ class _Loads:
         A share between 0 and 1 is that of some of several equal loads.
         """
         total = self.tape.sum(lost)
-        values = self._values([total, *powers], MOTIONS + len(powers))
+        values = self._values([total, *powers], N_MOTIONS + len(powers))
         tried = [[Fraction(0)] * len(powers), [Fraction(1)] * len(powers)]
         if len(values) > len(powers):
             values /= np.abs(values).max(axis=1, keepdims=True, initial=TINY)
             sizes = np.abs(values[:, 1:]).max(axis=0, initial=TINY)
-            found = np.linalg.lstsq(values[:, 1:] / sizes, -values[:, 0], rcond=ROUNDED)[0] / sizes
+            found = np.linalg.lstsq(values[:, 1:] / sizes, -values[:, 0], rcond=CANCELLATION_RTOL)[0] / sizes
             most = len(self.kinematics.mechanism.loads)
             tried.append([Fraction(float(share)).limit_denominator(most) for share in found])
         for shares in tried:
@@ -366,7 +366,7 @@ class _Loads:
         place, at_origin = tape.leaf("y", "coordinate"), dict[Scalar, Scalar]()
         work = []
         for q, force in forces.items():
-            patience = min(PATIENCE, self.until - time.thread_time())
+            patience = min(MAX_SECONDS, self.until - time.thread_time())
             found = antiderivative(tape, substitute(tape, [force], {**at_origin, q: place})[0], place, patience)
             at_origin[q] = tape.zero
             try:

@@ -18,12 +18,12 @@ __all__ = ["RandomStates", "close", "closed_states"]
 Floats = NDArray[np.float64]
 Point = dict[Scalar, float]
 
-ATTEMPTS = 60
+MAX_STATES = 60
 """Number of states that are drawn; at some of them expressions have no value, or loops do not close."""
-CLOSED = 1e-12
+CLOSURE_ATOL = 1e-12
 MAX_CORRECTIONS = 40
 """Iterations of Newton's method to satisfy the constraints."""
-SHORTEST = 1e-5
+MIN_STEP_FRACTION = 1e-5
 """Smallest fraction of a Newton step that is tried."""
 
 
@@ -78,7 +78,7 @@ class RandomStates:
                 left, matrix = numbers[: len(violation)], numbers[len(violation) :].reshape(-1, n_u)
                 if leaves is accelerations:
                     left = left + matrix @ [point[leaf] for leaf in leaves]
-                for leaf, change in zip(leaves, np.linalg.lstsq(matrix, left, rcond=CLOSED)[0], strict=True):
+                for leaf, change in zip(leaves, np.linalg.lstsq(matrix, left, rcond=CLOSURE_ATOL)[0], strict=True):
                     point[leaf] -= float(change)
             else:
                 yield from self._at(point)
@@ -99,8 +99,8 @@ class RandomStates:
     def _points(self) -> Iterator[Point]:
         """Random values of the leaves, the second half near the given values; the same in each call."""
         self._generator = random.Random(0)
-        for number in range(ATTEMPTS):
-            near = self.values if number >= ATTEMPTS // 2 else {}
+        for number in range(MAX_STATES):
+            near = self.values if number >= MAX_STATES // 2 else {}
             yield {
                 leaf: near[leaf] + self._generator.uniform(-0.1, 0.1) if leaf in near else self._draw(kind)
                 for leaf, kind in self._kinds.items()
@@ -148,7 +148,7 @@ def closed_states(
     generator = random.Random(0)
     slopes = [*chain.from_iterable(jacobian(tape, closing, coordinates))]
     is_given = not tape.depends(closing, [leaf for leaf in parameters if leaf not in values])
-    for number in range(ATTEMPTS if is_given else 0):
+    for number in range(MAX_STATES if is_given else 0):
         size = 0.1 if number % 2 else 1.0
         point = {leaf: generator.uniform(0.1, 1.0) for leaf in (*others, *parameters)} | dict(values)
         point |= {q: values.get(q, 0.0) + generator.uniform(-size, size) for q in coordinates}
@@ -164,11 +164,11 @@ def _newton(
         if found is None:
             return False
         violation, matrix, sizes = found
-        if (np.abs(violation) <= CLOSED * sizes).all():
+        if (np.abs(violation) <= CLOSURE_ATOL * sizes).all():
             return True
-        step = -np.linalg.lstsq(matrix, violation, rcond=CLOSED)[0]
+        step = -np.linalg.lstsq(matrix, violation, rcond=CLOSURE_ATOL)[0]
         share, found = 1.0, None
-        while found is None and share > SHORTEST:
+        while found is None and share > MIN_STEP_FRACTION:
             there = {leaf: point[leaf] + share * float(change) for leaf, change in zip(moved, step, strict=True)}
             found = _violation(tape, closing, slopes, {**point, **there})
             # Sufficient decrease, in the scales before the step.

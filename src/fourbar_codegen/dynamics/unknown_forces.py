@@ -39,8 +39,8 @@ __all__ = [
     "form_unknown_forces",
 ]
 
-STATES = 5
-ALIKE = 1e-6
+N_STATES = 5
+ZERO_RTOL = 1e-6
 """Components below this fraction of a vector are rounding errors."""
 
 
@@ -209,13 +209,13 @@ def find_forces_at_moving_points(
         return ()
     scalars = [*chain.from_iterable(columns[number] for number in moving), *chain.from_iterable(constraints.jacobian)]
     found: set[int] = set()
-    drawn = [*islice(states(scalars).closed(), STATES)]
+    drawn = [*islice(states(scalars).closed(), N_STATES)]
     for values in drawn:
         rows, matrix = values[: n_u * len(moving)].reshape(-1, n_u), values[n_u * len(moving) :].reshape(n_c, n_u)
         # What a constraint J u = 0 does not keep from moving: the part of the column orthogonal to the rows of J.
         left = rows.T - matrix.T @ np.linalg.lstsq(matrix.T, rows.T, rcond=None)[0] if n_c else rows.T
         sizes = np.linalg.norm(rows, axis=1)
-        found.update(np.flatnonzero(np.linalg.norm(left, axis=0) > ALIKE * sizes).tolist())
+        found.update(np.flatnonzero(np.linalg.norm(left, axis=0) > ZERO_RTOL * sizes).tolist())
     if not found and drawn:
         return ()
     those = [moving[number] for number in sorted(found)] or moving

@@ -31,25 +31,25 @@ from fourbar_codegen.expressions.tape import (
     placeholder,
 )
 
-__all__ = ["PATIENCE", "antiderivative"]
+__all__ = ["MAX_SECONDS", "antiderivative"]
 
-PATIENCE = 1.0
+MAX_SECONDS = 1.0
 """Longest search for one antiderivative, seconds of processor time."""
 
-CALLS = 256
+CALLS_PER_CLOCK = 256
 """Number of calls and returns of functions, some microseconds each, after which the clock is read."""
 
 INTEGRABLE = ("sympy.functions.elementary", "sympy.functions.special.delta_functions")
 """Modules of functions for which SymPy has rules; not curves of muscles, for example."""
 
-DRAWS = 3
-WIDTH = 3.0
-POINTS = 90
-AGREE = 1e-7
+N_DRAWS = 3
+MAX_ARGUMENT = 3.0
+N_POINTS = 90
+AGREEMENT_RTOL = 1e-7
 """Of the derivative of an antiderivative and its integrand, relative."""
 
 
-def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: float = PATIENCE) -> Scalar | None:
+def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: float = MAX_SECONDS) -> Scalar | None:
     """A continuous function whose derivative is the integrand.
 
     Parameters
@@ -165,7 +165,7 @@ def _within(seconds: float, search: Callable[[], sm.Expr]) -> sm.Expr | None:
     def watch(frame: FrameType, event: str, _argument: Any) -> None:
         nonlocal late
         # The clock takes longer than most calls.
-        late = late or (next(calls) % CALLS == 0 and time.thread_time() > end)
+        late = late or (next(calls) % CALLS_PER_CLOCK == 0 and time.thread_time() > end)
         # Not in a generator: one that is being closed would swallow it, and the search would go on unwatched.
         if late and event == "call" and not frame.f_code.co_flags & CO_GENERATOR:
             raise _TooLong
@@ -187,23 +187,23 @@ def _is_continuous_antiderivative(tape: Tape, found: Scalar, integrand: Scalar, 
     rate = Jvp(tape, {variable: tape.one})(found)
     generator, tested = random.Random(0), 0
     leaves = [Scalar(tape, 1, n) for n in tape.reach([found, integrand, rate]) if isinstance(tape.nodes[n], Leaf)]
-    for _ in range(DRAWS):
+    for _ in range(N_DRAWS):
         point = {leaf: generator.uniform(0.2, 1.5) for leaf in leaves}
         values: list[tuple[float, float, float] | None] = []
-        for i in range(POINTS):
-            x = WIDTH * ((i + 0.5) / POINTS * 2.0 - 1.0)
+        for i in range(N_POINTS):
+            x = MAX_ARGUMENT * ((i + 0.5) / N_POINTS * 2.0 - 1.0)
             value, slope, expected = tape.evaluate([found, rate, integrand], {**point, variable: x})
             if not all(map(math.isfinite, (value, slope, expected))):
                 values.append(None)
                 continue
-            if not abs(slope - expected) <= AGREE * max(abs(expected), 1.0):
+            if not abs(slope - expected) <= AGREEMENT_RTOL * max(abs(expected), 1.0):
                 return False
             values.append((x, value, expected))
             tested += 1
         for before, after in pairwise(values):
             if before is not None and after is not None:
                 step = after[0] - before[0]
-                most = 2.0 * step * (abs(before[2]) + abs(after[2])) + AGREE * max(1.0, abs(before[1]))
+                most = 2.0 * step * (abs(before[2]) + abs(after[2])) + AGREEMENT_RTOL * max(1.0, abs(before[1]))
                 if abs(after[1] - before[1]) > most:
                     return False
     return tested > 0

@@ -1,4 +1,4 @@
-"""Times at which expressions have a jump or a kink, as far as these can be derived.
+"""Breakpoints, times at which expressions may have a jump or a kink, as far as these can be derived.
 
 A condition of a Piecewise switches where its two sides are equal; an absolute value, a sign, a step function or a root
 has a jump or kink where its argument is zero. If the difference or argument is a + b t + c t^2, with coefficients of
@@ -23,7 +23,7 @@ MAX_ALTERNATIVES = 64
 
 
 def breakpoints(tape: Tape, time: Scalar, scalars: Iterable[Scalar]) -> tuple[list[Scalar], bool]:
-    """The times at which any of the scalars has a jump or a kink.
+    """The breakpoints of scalars: times at which any of them may have a jump or a kink.
 
     Parameters
     ----------

@@ -27,9 +27,9 @@ __all__ = ["deduplicate", "is_zero", "rank"]
 PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
 """The first prime after the digits of the square root of 2; modulo 2**127 - 1, for example, 2**127 would be 1."""
 
-POINTS = 8
-TOLERANCE = 1e-9
-MODERATE = 1e-6
+N_POINTS = 8
+IDENTITY_RTOL = 1e-9
+MODERATE_RATIO = 1e-6
 
 
 def deduplicate(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
@@ -152,10 +152,10 @@ def _is_zero_to_rounding(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[
     leaves = [Scalar(tape, 1, node) for node in nodes if isinstance(tape.nodes[node], Leaf)]
     generator = random.Random(1)
     found = {scalar.node for scalar in tested}
-    for _ in range(POINTS):
+    for _ in range(N_POINTS):
         point = {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}
         values = tape.evaluate(tested, point)
-        found -= {scalar.node for scalar, value in zip(tested, values, strict=True) if not abs(value) <= TOLERANCE}
+        found -= {scalar.node for scalar, value in zip(tested, values, strict=True) if not abs(value) <= IDENTITY_RTOL}
     return [scalar.node in found for scalar in scalars]
 
 
@@ -166,7 +166,7 @@ def _plain_nodes(tape: Tape, nodes: Sequence[int]) -> set[int]:
             case Leaf():
                 plain.add(node)
             case Sum(terms):
-                if all(term in plain and MODERATE < abs(float(c)) < 1 / MODERATE for term, c in terms):
+                if all(term in plain and MODERATE_RATIO < abs(float(c)) < 1 / MODERATE_RATIO for term, c in terms):
                     plain.add(node)
             case Product(factors):
                 if plain.issuperset(factors):

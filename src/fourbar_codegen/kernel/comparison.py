@@ -24,31 +24,31 @@ Floats = NDArray[np.float64]
 Function = Callable[..., Floats]
 Products = list[tuple[str, Floats, Floats, Floats]]
 
-STATES = 2
-ATTEMPTS = 8
+N_STATES = 2
+MAX_ATTEMPTS = 8
 STEP = 2e-4
 """Step h of central differences, relative to large variables. After extrapolation, the truncation error is h^4 / 480
 times the fifth derivative, and the rounding error about 1e-12."""
 
-NARROW = 1e-8
+NARROW_STEP = 1e-8
 """Step of one-sided differences, for functions with stairs, such as readings of an encoder: their derivative is that
 between jumps, but differences wider than a stair give the mean slope."""
 
-TOLERANCE = 1e-6
+DERIVATIVE_RTOL = 1e-6
 """Tolerance for derivatives against accurate differences, relative to the largest entry of the matrix."""
 
-ROUNDED = 4 * np.finfo(float).eps
+ROUNDING_RTOL = 4 * np.finfo(float).eps
 """Smallest relative rounding error of a function's value; differences of forces of 1e20 N show no changes by others."""
 
-ALONE = 1e-8
-"""Relative tolerance for rates of states side by side against those of single states: sines differ in the last bit, and
+BATCH_RTOL = 1e-8
+"""Relative tolerance for rates of batches of states against those of single states: sines differ in the last bit, and
 the equations may be ill-conditioned."""
 
 
-NEIGHBOURS = 4
+N_NEIGHBOURS = 4
 """Number of states whose arguments differ from those of a state by rounding errors, to see what becomes of these."""
 
-AMPLIFIED = 16.0
+NEIGHBOUR_RATIO = 16.0
 """Multiple of the largest change among neighbours that rounding errors may reach, since they are only a sample."""
 
 DEFECT = (
@@ -98,9 +98,9 @@ def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats
     generator, compared, is_defined = random.Random(0), 0, False
     # Derivatives with redundant constraints are unique along the constraints only.
     is_redundant = model.n_c > model.layout.n_dependent_speeds
-    attempts = ATTEMPTS if is_redundant else ATTEMPTS + 1
+    attempts = MAX_ATTEMPTS if is_redundant else MAX_ATTEMPTS + 1
     for attempt in range(attempts):
-        t, x, p, r = _arguments(model, generator, at_beginning=attempt == ATTEMPTS)
+        t, x, p, r = _arguments(model, generator, at_beginning=attempt == MAX_ATTEMPTS)
         try:
             with np.errstate(all="ignore"):
                 at(model, t, x, p, r)
@@ -108,7 +108,7 @@ def _compare(model: Functions, what: str, at: Callable[[Functions, float, Floats
             is_defined |= all(np.isfinite(part).all() for part in model.dynamics(t, x, p, r))
             continue
         compared += 1
-        if compared >= STATES:
+        if compared >= N_STATES:
             return
     if not compared:
         message = "%s: %s not compared, since the equations have no solution at any of %d states"
@@ -153,7 +153,7 @@ def _compare_products_at(model: Functions, t: float, x: Floats, p: Floats, r: Fl
                 return np.concatenate(products(*arguments)[place][1:3])
 
             largest = np.abs(size[np.isfinite(size)]).max(initial=0.0)
-            if not _agree(got, wanted, TOLERANCE * (1.0 + largest), partial(_rounding, both, x, p, r)):
+            if not _agree(got, wanted, DERIVATIVE_RTOL * (1.0 + largest), partial(_rounding, both, x, p, r)):
                 raise BuildError(
                     f"The compiled product {what} of the model {model.layout.name} is\n{got}\nat a random state, "
                     f"where it should be\n{wanted}\n{DEFECT}"
@@ -203,11 +203,11 @@ def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r:
             """Of the derivative, and of the differences."""
             return _rounding(derivative, x, p, r) + _rounding(function, point) / STEP
 
-        tolerance = TOLERANCE * (1.0 + largest)
+        tolerance = DERIVATIVE_RTOL * (1.0 + largest)
         wanted = np.where(sure, expected, got)
         if _agree(got, wanted, tolerance, rounding):
             continue
-        tolerated = tolerance + AMPLIFIED * _rounding(function, point) / NARROW
+        tolerated = tolerance + NEIGHBOUR_RATIO * _rounding(function, point) / NARROW_STEP
         is_right = (np.abs(_one_sided_differences(function, point) - got) <= tolerated).any(axis=0)
         if not _agree(got, np.where(is_right, got, wanted), tolerance, rounding):
             raise BuildError(
@@ -219,7 +219,7 @@ def _compare_derivatives_at(model: Functions, t: float, x: Floats, p: Floats, r:
 def _agree(got: Floats, wanted: Floats, tolerance: float, rounding: Callable[[], float]) -> bool:
     """Whether results agree to a tolerance, or else to rounding errors, which are found only then."""
     errors = np.abs(got - wanted)[np.isfinite(wanted)]
-    return bool((errors <= tolerance).all() or (errors <= tolerance + AMPLIFIED * rounding()).all())
+    return bool((errors <= tolerance).all() or (errors <= tolerance + NEIGHBOUR_RATIO * rounding()).all())
 
 
 def _rounding(function: Function, *arguments: Floats) -> float:
@@ -232,8 +232,9 @@ def _rounding(function: Function, *arguments: Floats) -> float:
     """
     generator, values = np.random.default_rng(0), function(*arguments)
     changes = [
-        function(*(each * (1.0 + ROUNDED * generator.uniform(-1.0, 1.0, each.shape)) for each in arguments)) - values
-        for _ in range(NEIGHBOURS)
+        function(*(each * (1.0 + ROUNDING_RTOL * generator.uniform(-1.0, 1.0, each.shape)) for each in arguments))
+        - values
+        for _ in range(N_NEIGHBOURS)
     ]
     return float(np.abs(changes)[np.isfinite(changes)].max(initial=0.0))
 
@@ -252,12 +253,12 @@ def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[F
             moved[1][i] -= h
             ahead, behind = map(function, moved)
             width = float(moved[0][i] - moved[1][i])
-            return (ahead - behind) / width, ROUNDED * np.maximum(np.abs(ahead), np.abs(behind)) / width
+            return (ahead - behind) / width, ROUNDING_RTOL * np.maximum(np.abs(ahead), np.abs(behind)) / width
 
         (coarse, _), (fine, _), (finest, rounded) = slope(2.0 * step), slope(step), slope(0.5 * step)
         before, after = fine + (fine - coarse) / 3.0, finest + (finest - fine) / 3.0
         columns.append(after)
-        sure.append(np.abs(after - before) + rounded <= 0.1 * TOLERANCE * (1.0 + np.abs(after).max(initial=0.0)))
+        sure.append(np.abs(after - before) + rounded <= 0.1 * DERIVATIVE_RTOL * (1.0 + np.abs(after).max(initial=0.0)))
     if not columns:
         return np.zeros((*size, 0)), np.zeros((*size, 0), dtype=bool)
     return np.stack(columns, axis=-1), np.stack(sure, axis=-1)
@@ -266,7 +267,7 @@ def _differences(function: Callable[[Floats], Floats], point: Floats) -> tuple[F
 def _one_sided_differences(function: Function, point: Floats) -> Floats:
     """Narrow differences of a function ahead of a point and behind it, one of which at most reaches across a jump."""
     here, sides = function(point), []
-    for step in (NARROW, -NARROW):
+    for step in (NARROW_STEP, -NARROW_STEP):
         moved = point + np.diag(step * np.maximum(np.abs(point), 1.0))
         widths = np.diag(moved) - point
         sides.append(np.stack([(function(x) - here) / width for x, width in zip(moved, widths, strict=True)], axis=-1))
@@ -274,7 +275,7 @@ def _one_sided_differences(function: Function, point: Floats) -> Floats:
 
 
 def compare_batch_functions(model: Functions) -> None:
-    """Compare rates of states side by side with those of single states, at random states.
+    """Compare rates of a batch of states with those of single states, at random states.
 
     Raises
     ------
@@ -295,12 +296,12 @@ def compare_batch_functions(model: Functions) -> None:
         try:
             expected = single(state, parameters, inputs)
             rounding = partial(_rounding, single, state, parameters, inputs)
-            agree = _agree(rates[:, i], expected, ALONE * (1.0 + np.abs(expected).max(initial=0.0)), rounding)
+            agree = _agree(rates[:, i], expected, BATCH_RTOL * (1.0 + np.abs(expected).max(initial=0.0)), rounding)
         except SimulationError:
             continue
         if not agree:
             raise BuildError(
-                f"The compiled right-hand side of the model {model.layout.name} for several states side by side "
+                f"The compiled right-hand side of the model {model.layout.name} for batches of states "
                 f"gives\n{rates[:, i]}\nat a random state, and that for one state\n{expected}\n{DEFECT}"
             )
 

@@ -12,23 +12,23 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.evaluator import NOT_CLOSED, OK, is_finite, largest_difference
 from fourbar_codegen.runtime.integrator import Ode, Table
 
-__all__ = ["FLOOR", "check_start", "consistent", "is_rounded", "left", "projects"]
+__all__ = ["ROUNDING_ATOL", "check_start", "consistent", "is_rounded", "left", "projects"]
 
 Floats = NDArray[np.float64]
 
-CONSISTENT = 1e-3
+PROJECTION_RTOL = 1e-3
 """Largest relative change of the coordinates or speeds by the projection of an initial state."""
 
-LOOKED = 16
+N_STATES = 16
 """Number of states of a run at which rates of position constraints are checked."""
 
-DIFFERENCE = 1e-6
+TIME_STEP = 1e-6
 """Step of the difference with respect to time, relative to the time, or to a second if it is smaller."""
 
-LEFT = 1e-5
+RATE_RTOL = 1e-5
 """Largest rate of a position constraint, relative to its terms and, per second, to the constraint's scale."""
 
-FLOOR = 1e-12
+ROUNDING_ATOL = 1e-12
 """Absolute change of a state that is always accepted as rounding errors."""
 
 
@@ -74,7 +74,7 @@ def consistent(ode: Ode, t: float, x0: Floats) -> Floats:
         If the equations cannot be evaluated there.
     """
     status, x = ode.closest(t, x0)
-    if status == OK and largest_difference(x, x0) <= FLOOR:
+    if status == OK and largest_difference(x, x0) <= ROUNDING_ATOL:
         return x
     t += ode.clock[0]
     if status == NOT_CLOSED or not is_rounded(ode.n_q, ode.n_u, x0, x):
@@ -120,9 +120,9 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
     A Model checks this at random states. Here it is checked at some states of a run, given in columns: Phi_q q' + Phi_t
     must be zero, up to the error of the differences for Phi_t.
     """
-    n_q, prescribed, every = model.n_q, bool(model.layout.prescribed_places), len(times) // LOOKED + 1
+    n_q, prescribed, every = model.n_q, bool(model.layout.prescribed_places), len(times) // N_STATES + 1
     for t, x in zip(times[::every], states.T[::every], strict=True):
-        r, step = ode.input_values(t, x), DIFFERENCE * max(abs(t), 1.0)
+        r, step = ode.input_values(t, x), TIME_STEP * max(abs(t), 1.0)
         rates, slopes = ode(t, x)[:n_q], model.position(t, x[:n_q], p, r)[1]
         ahead, behind = (
             model.position(time, x[:n_q], p, ode.input_values(time, x) if prescribed else r)[0]
@@ -130,7 +130,8 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
         )
         of_time = (ahead - behind) / (2.0 * step)
         scale, *_ = model.constraint_scale(t, x, p, r)
-        excess = np.abs(slopes @ rates + of_time) - LEFT * (np.abs(slopes) @ np.abs(rates) + np.abs(of_time) + scale)
+        terms = np.abs(slopes) @ np.abs(rates) + np.abs(of_time) + scale
+        excess = np.abs(slopes @ rates + of_time) - RATE_RTOL * terms
         if (excess > 0.0).any():
             return (
                 f"The velocity constraints do not keep holonomic constraint {int(np.argmax(excess)) + 1} at zero: at "
@@ -144,11 +145,11 @@ def left(model: Kernel, ode: Ode, times: Floats, states: Floats, p: Floats | Non
 def is_rounded(n_q: int, n_u: int, x0: Floats, x: Floats) -> Any:
     """Whether a state, or each of the states in rows, equals a consistent one up to rounding to four digits."""
     moved = np.abs(x - x0)
-    if (moved <= FLOOR).all():
+    if (moved <= ROUNDING_ATOL).all():
         return np.ones(x0.shape[:-1], dtype=bool)[()]
     # Scales: at most 1 for coordinates, since whole turns of angles do not count; less if all values are small.
     size = np.empty_like(x0)
     for part in (slice(None, n_q), slice(n_q, n_q + n_u), slice(n_q + n_u, None)):
         size[..., part] = np.minimum(1.0, np.abs(x0[..., part]).max(axis=-1, keepdims=True, initial=0.0))
     size[..., n_q:] = np.maximum(size[..., n_q:], np.abs(x0[..., n_q:]))
-    return (moved <= CONSISTENT * size + FLOOR).all(axis=-1)
+    return (moved <= PROJECTION_RTOL * size + ROUNDING_ATOL).all(axis=-1)

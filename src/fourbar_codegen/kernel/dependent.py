@@ -8,23 +8,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
+from fourbar_codegen.roles import Threshold
 
-__all__ = ["INDEPENDENT", "SINGULAR", "eliminate", "row_sizes", "solve_dependent", "solve_redundant"]
+__all__ = ["INDEPENDENCE_RTOL", "SINGULAR_RTOL", "eliminate", "row_sizes", "solve_dependent", "solve_redundant"]
 
 Floats = NDArray[np.float64]
 
-SINGULAR = 1e-12
+SINGULAR_RTOL = 1e-12
 """Singular values below this fraction of the largest are rounding errors."""
 
-INDEPENDENT = 1e-6
+INDEPENDENCE_RTOL = 1e-6
 """Rows are independent if singular values exceed this fraction of the largest: rows that are redundant only on the
 constraint manifold differ by the error of the position."""
-
-DETERMINED = 1e-7
-"""Velocities and accelerations are determined if singular values exceed this fraction of the largest."""
-
-NEGLIGIBLE = 2e-13
-"""Rows below this fraction of the largest are rounding errors; as in fourbar_solve.h."""
 
 
 def row_sizes(matrix: Floats) -> Floats:
@@ -33,11 +28,11 @@ def row_sizes(matrix: Floats) -> Floats:
     Infinite for rows of rounding errors.
     """
     size = np.abs(matrix).max(axis=1, keepdims=True, initial=0.0)
-    return np.where(size > NEGLIGIBLE * size.max(initial=0.0), size, np.inf)
+    return np.where(size > Threshold.ROW_RTOL * size.max(initial=0.0), size, np.inf)
 
 
 def solve_dependent(
-    matrix: Floats, n_independent: int, known: Floats, singular: float = SINGULAR
+    matrix: Floats, n_independent: int, known: Floats, singular: float = SINGULAR_RTOL
 ) -> tuple[Floats, int]:
     """The v_d with ``matrix[:, n_independent:] @ v_d + known = 0`` by least squares, and the rank of the columns.
 
@@ -47,7 +42,7 @@ def solve_dependent(
     """
     dependent = matrix[:, n_independent:]
     size = np.abs(dependent).max(axis=0, initial=0.0)
-    unit = np.where(size > NEGLIGIBLE, size, np.inf)
+    unit = np.where(size > Threshold.ROW_RTOL, size, np.inf)
     scaled = dependent / unit
     solution, _, rank, _ = np.linalg.lstsq(scaled, -known, rcond=singular)
     # One step of iterative refinement: entries that are small beside others become accurate by themselves.
@@ -107,5 +102,5 @@ def solve_redundant(matrix: Floats, right: Floats, size: Floats) -> Floats | Non
     """
     if not np.isfinite(matrix).all() or not np.isfinite(right).all():
         return None
-    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None], right / size, rcond=DETERMINED)
+    solution, _, rank, _ = np.linalg.lstsq(matrix / size[:, None], right / size, rcond=Threshold.DETERMINED_RATIO)
     return np.asarray(solution) if rank == matrix.shape[1] else None

@@ -20,7 +20,6 @@ __all__ = [
     "bind",
     "by_member",
     "by_name",
-    "by_values",
     "changes_at",
     "held_inputs",
     "input_sources",
@@ -30,6 +29,7 @@ __all__ = [
     "is_held",
     "own_source",
     "source_changes",
+    "wrt_values",
 ]
 
 Floats = NDArray[np.float64]
@@ -259,10 +259,11 @@ def _changes(model: Kernel, name: str, coefficients: Floats, outside: Floats | N
     return found
 
 
-def by_values(
-    model: Kernel, name: str, source: float | InterpolationTable, by_sources: Sequence[Floats | None]
+def wrt_values(
+    model: Kernel, name: str, source: float | InterpolationTable, wrt_sources: Sequence[Floats | None]
 ) -> float | Floats:
-    """The derivatives by an input's value, or by the values of its table, shape (n,), from those by its sources.
+    """The derivatives with respect to an input's value, or to the values of its table, shape (n,), from those with
+    respect to its sources.
 
     Parameters
     ----------
@@ -270,11 +271,11 @@ def by_values(
     name : str
     source : float or tuple
         As `own_source` returns it.
-    by_sources : sequence of length n_r
+    wrt_sources : sequence of length n_r
         As `Steps.gradient` returns them.
     """
     first = model.inputs.index(name)
-    pairs = zip(model.layout.inputs, by_sources, strict=True)
+    pairs = zip(model.layout.inputs, wrt_sources, strict=True)
     parts = [part for entry, part in pairs if entry.of == name and part is not None]
     # Of thousands of values, perhaps.
     kind = _kind(source, len(parts)) if isinstance(source, tuple) else None

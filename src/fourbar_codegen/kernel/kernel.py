@@ -118,7 +118,7 @@ class Kernel(Functions):
         return sources_beside(self.path, self.name) if layout_beside(self.path) == self.layout else None
 
     def require_batch_functions(self) -> None:
-        """Build and load the functions for several states side by side, if the model was built without them.
+        """Build and load the functions for batches of states, if the model was built without them.
 
         Portable modules contain them. `compile_model` does not build them; the first batch or ensemble calls this
         method.

@@ -19,8 +19,8 @@ from typing import Literal, TypeVar
 
 from fourbar_codegen.building.cache import cached, find_cached, is_whole
 from fourbar_codegen.building.library import (
-    ATTEMPTS,
     LATER,
+    MAX_ATTEMPTS,
     PARTS,
     SUFFIXES,
     build_part,
@@ -213,7 +213,7 @@ def load_cached(find: Callable[[], Path]) -> Loaded:
 
 
 def _where_it_stays(find: Callable[[], Path], load: Callable[[Path], _Found]) -> _Found:
-    for _ in range(ATTEMPTS):
+    for _ in range(MAX_ATTEMPTS):
         path = find()
         try:
             return load(path)

@@ -1,4 +1,6 @@
-"""What a run can be differentiated by: parameters, inputs, and initial values, from which dependent ones follow."""
+"""What a run can be differentiated with respect to: parameters, inputs, and initial values, from which dependent ones
+follow.
+"""
 
 from __future__ import annotations
 
@@ -21,6 +23,7 @@ from fourbar_codegen.kernel.inputs import (
     source_changes,
 )
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
+from fourbar_codegen.roles import Threshold
 from fourbar_codegen.runtime.evaluator import dependent_changes
 
 __all__ = [
@@ -28,7 +31,7 @@ __all__ = [
     "corrected",
     "differentiable",
     "directions_of",
-    "follow",
+    "implicit_derivatives",
     "independent_states",
     "initial_derivatives",
     "locked_parameters",
@@ -40,32 +43,30 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-REDUNDANT = 1e-7
-"""Redundant constraints are satisfied to this fraction of their terms, as FB_REDUNDANT in fourbar_solve.h; ..."""
+OPEN_RATIO = 100.0
+"""Redundant constraints are satisfied to `Threshold.REDUNDANCY_RTOL`, and to this multiple of the violation of the
+state, since they may be redundant only where loops are closed."""
 
-OPENED = 100.0
-"""... and to this multiple of the violation of the state, since they may be redundant only where loops are closed."""
-
-CHANGED = 1e-2
+MAX_COORDINATE_CHANGE = 1e-2
 """The largest change of a coordinate, after which redundant constraints are examined again."""
 
-CORRECTIONS = 6
+MAX_CORRECTIONS = 6
 """Steps of Newton's method from a predicted state."""
 
-CORRECTED = 1e-10
+CORRECTION_RTOL = 1e-10
 """A step that changes no value by more than this, relative to 1 or the largest value, is the last one: the next one
 would change it by the square of this."""
 
-PROBES = 2
+N_PROBES = 2
 """Arbitrary directions of initial states, and as many of parameters and inputs, that choose steps for gradients."""
 
-SMALL = 1e-3
+SMALL_AMPLITUDE_RATIO = 1e-3
 """Amplitudes of terms that depend on time are small below this fraction of the largest parameter or input; ..."""
 
-FOR_SMALL = 4
+N_SMALL_AMPLITUDES = 4
 """... so many directions are for them, since eight directions are varied at once."""
 
-REGULAR = 1e-3
+REGULAR_PIVOT_RATIO = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
 
 
@@ -181,11 +182,11 @@ def with_probes(
     given = {name_of(key): own_source(name_of(key), source) for key, source in (inputs or {}).items()}
     tables = [name for name, source in given.items() if isinstance(source, tuple)]
     of_time = {*model.layout.dependencies.timed}.union(*(model.layout.dependencies.timed_by[name] for name in tables))
-    changes = {name: arbitrary_changes(model, name, source, PROBES, generator) for name, source in given.items()}
+    changes = {name: arbitrary_changes(model, name, source, N_PROBES, generator) for name, source in given.items()}
     together = {place: change for of_name in changes.values() for place, change in of_name.items()}
-    states, others = np.zeros((2, n_x + model.n_p, PROBES))
-    states[:n_x] = generator.standard_normal((n_x, PROBES))
-    others[n_x:] = np.where(p == 0.0, 1.0, p)[:, np.newaxis] * generator.standard_normal((model.n_p, PROBES))
+    states, others = np.zeros((2, n_x + model.n_p, N_PROBES))
+    states[:n_x] = generator.standard_normal((n_x, N_PROBES))
+    others[n_x:] = np.where(p == 0.0, 1.0, p)[:, np.newaxis] * generator.standard_normal((model.n_p, N_PROBES))
     is_locked = np.isin(model.parameters, list(locked))
     others[n_x:][is_locked] = 0.0
     parts = [] if directions is None else [(directions.matrix, directions.sources)]
@@ -195,9 +196,9 @@ def with_probes(
         for name, source in given.items()
     }
     of_time -= locked
-    small = [name for name in sizes if name in of_time and sizes[name] <= SMALL * max(sizes.values())]
+    small = [name for name in sizes if name in of_time and sizes[name] <= SMALL_AMPLITUDE_RATIO * max(sizes.values())]
     small.sort(key=sizes.__getitem__)
-    for group in filter(None, (*([name] for name in small[: FOR_SMALL - 1]), small[FOR_SMALL - 1 :])):
+    for group in filter(None, (*([name] for name in small[: N_SMALL_AMPLITUDES - 1]), small[N_SMALL_AMPLITUDES - 1 :])):
         unit, own = np.zeros((n_x + model.n_p, 1)), {}
         for name in group:
             own.update(changes.get(name, {}))
@@ -216,7 +217,7 @@ def with_probes(
     return Directions(places, np.hstack([matrix for matrix, _ in parts]), sources)
 
 
-def follow(
+def implicit_derivatives(
     model: Kernel,
     t: float,
     x: Floats,
@@ -224,7 +225,7 @@ def follow(
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
-    """Directions of (x, p) whose dependent coordinates and speeds follow, by the implicit function theorem.
+    """Directions of (x, p) with the implicit derivatives of the dependent coordinates and speeds in them.
 
     With dPhi/dq_d dq_d = -(dPhi/dq_i dq_i + dPhi/dp dp + dPhi/dr dr), and the same for the speeds by J u + b = 0.
     Redundant constraints are satisfied as well.
@@ -250,7 +251,7 @@ def follow(
         If the dependent values cannot be differentiated: at a singular position, or since redundant constraints do not
         stay satisfied.
     """
-    found, locked = _followed(model, t, x, directions, parameters, inputs)
+    found, locked = _implicit_derivatives(model, t, x, directions, parameters, inputs)
     require_derivatives(locked)
     return found
 
@@ -264,7 +265,7 @@ def require_derivatives(locked: Sequence[str]) -> None:
         )
 
 
-def _followed(
+def _implicit_derivatives(
     model: Kernel,
     t: float,
     x: Floats,
@@ -272,7 +273,9 @@ def _followed(
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Floats, list[str]]:
-    """What `follow` returns, and the names of directions in which redundant constraints do not stay satisfied."""
+    """Implicit derivatives, and the names of directions in which redundant constraints do not stay
+    satisfied.
+    """
     if not model.layout.n_dependent_coordinates + model.layout.n_dependent_speeds:
         return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
@@ -302,8 +305,8 @@ def locked_parameters(
     for t, x in states:
         if np.isfinite(x).all():
             dependent = _Dependent.of(model, t, directions, p, inputs)
-            _, followed, change, _, left = dependent.at(x)
-            found.update(_locked(directions, dependent, x, followed, change, left))
+            _, derivatives, change, _, left = dependent.at(x)
+            found.update(_locked(directions, dependent, x, derivatives, change, left))
     return found
 
 
@@ -315,7 +318,7 @@ def _locked(
     Where they are satisfied at this state, they may be so to first order alone, as where parallel bars are upright:
     then they are violated after a finite change.
     """
-    allowed = REDUNDANT + OPENED * max(np.abs(change).max(initial=0.0), left[-1])
+    allowed = Threshold.REDUNDANCY_RTOL + OPEN_RATIO * max(np.abs(change).max(initial=0.0), left[-1])
     is_left = left[:-1] > allowed
     if dependent.model.n_c > dependent.model.layout.n_dependent_speeds:
         is_left |= [dependent.opens(x, found, j, allowed) for j in range(len(is_left))]
@@ -330,9 +333,9 @@ def corrected(
     parameters: Floats,
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Floats, Floats] | None:
-    """A state near a predicted one that satisfies the constraints, and what `follow` finds there.
+    """A state near a predicted one that satisfies the constraints, and what `implicit_derivatives` finds there.
 
-    By Newton's method for the dependent values, whose matrices are those of `follow`.
+    By Newton's method for the dependent values, whose matrices are those of `implicit_derivatives`.
 
     Returns
     -------
@@ -340,14 +343,14 @@ def corrected(
         None unless it converges quadratically, away from singular positions.
     """
     dependent, size = _Dependent.of(model, t, directions, parameters, inputs), np.inf
-    for _ in range(CORRECTIONS):
+    for _ in range(MAX_CORRECTIONS):
         missing, found, change, pivot, left = dependent.at(x)
         last, size = size, np.abs(change).max(initial=0.0)
-        if missing or pivot < REGULAR or not size <= 0.5 * last:
+        if missing or pivot < REGULAR_PIVOT_RATIO or not size <= 0.5 * last:
             return None
         x = x + change
-        if size <= CORRECTED * (1.0 + np.abs(x).max(initial=0.0)):
-            return (x, found) if left.max() <= REDUNDANT else None
+        if size <= CORRECTION_RTOL * (1.0 + np.abs(x).max(initial=0.0)):
+            return (x, found) if left.max() <= Threshold.REDUNDANCY_RTOL else None
     return None
 
 
@@ -390,16 +393,16 @@ class _Dependent(NamedTuple):
         rate = np.abs(found[:n_q, j]).max(initial=0.0)
         if rate == 0.0:
             return False
-        h, size = CHANGED / rate, np.inf
+        h, size = MAX_COORDINATE_CHANGE / rate, np.inf
         p = parameter_array(self.model, self.p) + h * found[n_x:, j]
         r = None if self.r is None else self.r + h * self.directions[n_x + len(p) :, j]
         changed, x = self._replace(p=p, r=r), x + h * found[:n_x, j]
-        for _ in range(CORRECTIONS):
+        for _ in range(MAX_CORRECTIONS):
             missing, _, change, pivot, left = changed.at(x)
             last, size = size, float(np.abs(change).max(initial=0.0))
-            if missing or pivot < REGULAR or not size <= 0.5 * last:
+            if missing or pivot < REGULAR_PIVOT_RATIO or not size <= 0.5 * last:
                 return False
-            if size <= CORRECTED * (1.0 + np.abs(x).max(initial=0.0)):
+            if size <= CORRECTION_RTOL * (1.0 + np.abs(x).max(initial=0.0)):
                 return bool(left[-1] > allowed)
             x = x + change
         return False
@@ -409,8 +412,8 @@ class _Dependent(NamedTuple):
         model, layout = self.model, self.model.layout
         n_qd, n_ud = layout.n_dependent_coordinates, layout.n_dependent_speeds
         found = dependent_changes(model, self.t, x, self.directions, n_qd, n_ud, self.p, self.r)
-        missing, followed, change, pivot, left = found
-        return missing, followed[: model.n_x + model.n_p], change, pivot, left
+        missing, derivatives, change, pivot, left = found
+        return missing, derivatives[: model.n_x + model.n_p], change, pivot, left
 
 
 def initial_derivatives(
@@ -437,8 +440,8 @@ def initial_derivatives(
         if name not in prescribed
     }
     directions = directions_of(model, [name for name in names if name not in none], inputs)
-    followed, locked = _followed(model, t, x, directions, parameters, inputs)
-    found = none | directions.by_name(followed[: model.n_x].T)
+    derivatives, locked = _implicit_derivatives(model, t, x, directions, parameters, inputs)
+    found = none | directions.by_name(derivatives[: model.n_x].T)
     return {name: found[name] for name in names if name not in locked}
 
 

@@ -11,12 +11,12 @@ from fourbar_codegen.linkage.mobility import Mobility
 from fourbar_codegen.linkage.parts import Parts
 from fourbar_codegen.linkage.tree import GROUND, Tree
 
-__all__ = ["SAME", "check_mobility", "check_parts", "size_of"]
+__all__ = ["SAME_RTOL", "check_mobility", "check_parts", "size_of"]
 
-SAME = 1e-9
+SAME_RTOL = 1e-9
 """Largest distance of points that are one, or of a point from its guide, relative to the size of the linkage."""
 
-MIXED = 500.0
+MIXED_UNITS_RATIO = 500.0
 """Ratio of lengths above which units are probably mixed."""
 
 
@@ -62,13 +62,13 @@ def check_parts(name: str, parts: Parts) -> None:
             for b in stated.points[k + 1 :]:
                 distances[link, a, b] = abs(parts.points[a] - parts.points[b])
     for (link, a, b), distance in distances.items():
-        if distance <= SAME * size:
+        if distance <= SAME_RTOL * size:
             raise ModelError(
                 f"Link {link} has no length from {a} to {b}: both are at ({parts.points[a].real:g}, "
                 f"{parts.points[a].imag:g}). For a joint of links, give one point to both."
             )
     longest, shortest = (f(distances, key=lambda key: distances[key]) for f in (max, min))
-    if distances[longest] > MIXED * distances[shortest]:
+    if distances[longest] > MIXED_UNITS_RATIO * distances[shortest]:
         _warn(
             f"Lengths of {name} differ by a factor of {distances[longest] / distances[shortest]:.0f}: "
             f"{distances[longest]:g} m from {longest[1]} to {longest[2]}, {distances[shortest]:g} m from "

@@ -14,7 +14,7 @@ from sympy.core.function import AppliedUndef
 
 from fourbar_codegen.arguments import finite_number, is_finite, is_mapping, listed, numbers
 from fourbar_codegen.errors import ModelError, meant, shown
-from fourbar_codegen.linkage.checks import SAME, check_mobility, check_parts, size_of
+from fourbar_codegen.linkage.checks import SAME_RTOL, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
 from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque, new_symbol
 from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
@@ -381,7 +381,7 @@ class Linkage:
                 raise ModelError(f"The guide of {point} goes through two points of one link, not {', '.join(ends)}.")
             base, way = parts.points[ends[0]], parts.points[ends[1]] - parts.points[ends[0]]
             across = ((parts.points[point] - base) * way.conjugate()).imag
-            if not abs(way) or abs(across) > SAME * size_of(self._parts) * abs(way):
+            if not abs(way) or abs(across) > SAME_RTOL * size_of(self._parts) * abs(way):
                 raise ModelError(f"{point} is not on the guide from {ends[0]} to {ends[1]}: draw it there.")
             parts.slides[point] = Slide(point, on[0], base, way / abs(way), (ends[0], ends[1]))
         if mass is not None:

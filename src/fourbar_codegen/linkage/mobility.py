@@ -20,18 +20,18 @@ __all__ = ["Mobility", "find_mobility"]
 
 Floats = NDArray[np.float64]
 
-RANK = 1e-7
+RANK_RTOL = 1e-7
 """Smallest singular value that counts, relative to the largest; and smallest component of a motion."""
 
-SMALLEST = 0.05
+MIN_COLUMN_RATIO = 0.05
 """Smallest part of a column that is independent of others, for a choice of dependent coordinates far from singular."""
 
 STEPS = (0.02, 0.1, 0.3)
 """Lengths of steps to positions nearby: rad, or lengths relative to the size of the linkage."""
 
-ATTEMPTS = 4
+MAX_ATTEMPTS = 4
 MAX_ITERATIONS = 50
-CLOSED = 1e-11
+CLOSURE_RTOL = 1e-11
 """Largest gap of a closed position, relative to the size of the linkage."""
 
 
@@ -99,15 +99,15 @@ def find_mobility(
     jacobians = [tree.gaps(position)[1] * scales / size for position in nearby]
     if not nearby:
         nearby, jacobians = [tree.values], [np.vstack([drawn, free.T])]
-    ranks = [int(matrix_rank(jacobian, rtol=RANK)) for jacobian in jacobians]
+    ranks = [int(matrix_rank(jacobian, rtol=RANK_RTOL)) for jacobian in jacobians]
     rank = max(ranks)
     generic = [k for k, own in enumerate(ranks) if own == rank]
-    is_singular = int(matrix_rank(drawn, rtol=RANK)) < rank
+    is_singular = int(matrix_rank(drawn, rtol=RANK_RTOL)) < rank
     drives = np.eye(n)[[names.index(name) for name in driven]]
     held = [np.vstack([jacobians[k], drives]) for k in generic]
-    left = n - int(matrix_rank(held[0], rtol=RANK))
+    left = n - int(matrix_rank(held[0], rtol=RANK_RTOL))
     as_drawn = np.vstack([drawn, drives])
-    chosen = as_drawn if n - int(matrix_rank(as_drawn, rtol=RANK)) == left else held[0]
+    chosen = as_drawn if n - int(matrix_rank(as_drawn, rtol=RANK_RTOL)) == left else held[0]
     motions = [_null_space(jacobians[k]) for k in generic]
     order, first = ([names.index(name) for name in group] for group in (preferred, wanted))
     independent = _independent(chosen, left, order, first)
@@ -128,22 +128,22 @@ def find_mobility(
 
 def _null_space(matrix: Floats) -> Floats:
     """An orthonormal basis, in columns."""
-    return np.asarray(np.linalg.svd(matrix)[2][matrix_rank(matrix, rtol=RANK) :].T)
+    return np.asarray(np.linalg.svd(matrix)[2][matrix_rank(matrix, rtol=RANK_RTOL) :].T)
 
 
 def _nearby(tree: Tree, size: float, scales: Floats, free: Floats) -> Iterator[Floats]:
     """Closed positions that are reached by steps along random free motions."""
     generator = np.random.default_rng(0)
-    for length in STEPS * ATTEMPTS * bool(free.size):
+    for length in STEPS * MAX_ATTEMPTS * bool(free.size):
         step = free @ generator.standard_normal(free.shape[1])
         moved = tree.values + scales * length * step / np.linalg.norm(step)
         for _ in range(MAX_ITERATIONS):
             gap, jacobian = tree.gaps(moved)
-            if np.abs(gap).max(initial=0.0) <= CLOSED * size:
+            if np.abs(gap).max(initial=0.0) <= CLOSURE_RTOL * size:
                 if np.linalg.norm((moved - tree.values) / scales) > length / 2.0:
                     yield moved
                 break
-            moved = moved - scales * np.linalg.lstsq(jacobian * scales / size, gap / size, rcond=RANK)[0]
+            moved = moved - scales * np.linalg.lstsq(jacobian * scales / size, gap / size, rcond=RANK_RTOL)[0]
 
 
 def _independent(matrix: Floats, count: int, preferred: Sequence[int], wanted: Sequence[int]) -> tuple[int, ...]:
@@ -152,7 +152,7 @@ def _independent(matrix: Floats, count: int, preferred: Sequence[int], wanted: S
     The other columns are chosen from the end of the preferred ones, each if it is independent of those chosen by then.
     Near a singular choice, smaller independent parts count.
     """
-    for smallest in (SMALLEST, RANK):
+    for smallest in (MIN_COLUMN_RATIO, RANK_RTOL):
         basis: list[Floats] = []
         dependent = []
         for column in (column for column in reversed(preferred) if column not in wanted):
@@ -170,7 +170,7 @@ def _independent(matrix: Floats, count: int, preferred: Sequence[int], wanted: S
 
 def _moving(*motions: Floats) -> list[int]:
     """Numbers of the coordinates that change in a motion at some position."""
-    return np.flatnonzero(np.abs(np.hstack(motions)).max(axis=1, initial=0.0) > RANK).tolist()
+    return np.flatnonzero(np.abs(np.hstack(motions)).max(axis=1, initial=0.0) > RANK_RTOL).tolist()
 
 
 def _parts(motions: Sequence[Floats]) -> list[tuple[list[int], int]]:
@@ -208,7 +208,7 @@ def _rigid(velocities: Sequence[dict[str, NDArray[np.complex128]]]) -> tuple[tup
     for link in velocities[0]:
         for group in groups:
             away = [np.abs(own[group[0]] - own[link]).max(initial=0.0) for own in velocities]
-            if max(away) <= RANK:
+            if max(away) <= RANK_RTOL:
                 group.append(link)
                 break
         else:

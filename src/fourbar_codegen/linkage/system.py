@@ -17,7 +17,7 @@ from fourbar_codegen.modeling.model import Parameter
 
 __all__ = ["Geometry", "build_system", "coordinate", "geometry", "speed"]
 
-ON_LINE = 1e-9
+ON_LINE_RTOL = 1e-9
 """Largest distance of a point from a line on which it lies, relative to the size of the link."""
 
 Vector = tuple[sm.Expr, sm.Expr]
@@ -89,7 +89,7 @@ def geometry(tree: Tree, ground: Sequence[str], taken: Container[sm.Symbol]) -> 
         for point in others:
             way = (tree.points[point] - tree.points[first]) / tree.direction(link)
             from_first = length(link, first, point)
-            if abs(way.imag) <= ON_LINE * abs(way):
+            if abs(way.imag) <= ON_LINE_RTOL * abs(way):
                 local[link, point] = (from_first if way.real > 0.0 else -from_first, sm.S.Zero)
                 continue
             from_second = length(link, second, point)

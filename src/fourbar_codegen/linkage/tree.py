@@ -111,7 +111,7 @@ class Tree:
         return way / abs(way)
 
     def positions(self, values: Floats) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-        """Positions of the places, and their derivatives by the coordinates.
+        """Positions of the places, and their derivatives with respect to the coordinates.
 
         Parameters
         ----------

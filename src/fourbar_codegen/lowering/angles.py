@@ -4,8 +4,9 @@ The direction cosines of a chain of frames that turn about the same axis are mul
 
     sin(a + b) = sin a cos b + cos a sin b,    cos(a + b) = cos a cos b - sin a sin b.
 
-Adding the angles takes one operation instead of six, and the sines of all links can be evaluated side by side. The
-rounding error of a sum is about 1e-16 of the largest angle, the same as that of an angle itself after many turns.
+Adding the angles takes one operation instead of six, and the sines of all links can be evaluated in the lanes of
+vectors. The rounding error of a sum is about 1e-16 of the largest angle, the same as that of an angle itself after many
+turns.
 """
 
 from __future__ import annotations

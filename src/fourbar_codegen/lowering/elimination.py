@@ -23,6 +23,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
+from fourbar_codegen.roles import Threshold
 
 __all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure", "recursive_cost", "solution_cost"]
 
@@ -30,27 +31,24 @@ Matrix = Sequence[Sequence[float]]
 
 MIN_SPEEDS = 8
 MAX_CONSTRAINTS = 24
-"""Most constraints of dense equations for which a pivot order is fixed at code generation. States side by side need it;
+"""Most constraints of dense equations for which a pivot order is fixed at code generation. Batches of states need it;
 fourbar_solve.h uses it for fewer."""
 
-GOOD_PIVOT = 0.25
-"""Smallest mean ratio of a pivot to the largest entry of its row in a good order; see fourbar_solve.h."""
-
-NOISE = 1e-9
+NOISE_RTOL = 1e-9
 """Rows below this fraction of their size before are rounding errors of redundant ones."""
 
-TINY = 1e-12
+MIN_PIVOT_RATIO = 1e-12
 """Ratio of a pivot to the largest entry of its row below which it is only rounding errors."""
 
-GAIN = 4
+MIN_SPARSE_GAIN = 4
 """Sparse elimination must need this many times fewer multiplications, since it looks up indices."""
 
-EARLY = 2
+MIN_EARLY_GAIN = 2
 """An order in which constraints come before some of their speeds must take this many times fewer operations: it has
 another solution to fall back on."""
 
-VECTORS = 4
-"""Columns of M^-1 J^T that take the time of one, side by side in vectors."""
+COLUMNS_PER_VECTOR = 4
+"""Columns of M^-1 J^T that take the time of one, in the lanes of vectors."""
 
 
 def find_structure(
@@ -98,7 +96,7 @@ def find_structure(
     found = structure(lambda row, eliminated: columns[row] <= eliminated)
     if jacobians:
         early = structure(_Early(jacobians).is_ready)
-        found = early if EARLY * cost(early) <= cost(found) else found
+        found = early if MIN_EARLY_GAIN * cost(early) <= cost(found) else found
     return found
 
 
@@ -158,7 +156,7 @@ class _Early:
         if not shares:
             return False
         pivot = max(shares, key=shares.__getitem__)
-        if shares[pivot] < math.log(GOOD_PIVOT) * len(self.matrices):
+        if shares[pivot] < math.log(Threshold.STATIC_PIVOT_RATIO) * len(self.matrices):
             return False
         self.done.add(row)
         self.taken.add(pivot)
@@ -190,7 +188,7 @@ def solution_cost(n_u: int, n_c: int, structure: Structure | None) -> int:
     22
     """
     if structure is not None:
-        return GAIN * sum(len(rows) * (len(rows) + 3) // 2 for rows in structure.below)
+        return MIN_SPARSE_GAIN * sum(len(rows) * (len(rows) + 3) // 2 for rows in structure.below)
     n_i = n_u - n_c
     return n_c**2 * n_u + n_c * n_i * n_u + n_i * n_u**2 // 2 + n_i**3 // 6
 
@@ -216,7 +214,7 @@ def recursive_cost(n_u: int, n_c: int, n_jacobian: int, operations: int) -> int:
     0
     """
     by_vectors = n_c * (operations // 2 + n_jacobian)
-    return by_vectors // VECTORS + n_c**3 // 6 + 2 * (n_c**2 + n_c * n_u + n_jacobian)
+    return by_vectors // COLUMNS_PER_VECTOR + n_c**3 // 6 + 2 * (n_c**2 + n_c * n_u + n_jacobian)
 
 
 def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Matrix]) -> PivotOrder:
@@ -244,7 +242,7 @@ def find_pivot_order(n_c: int, n_u: int, rank: int, jacobians: Sequence[Matrix])
     dependent, order = range(n_u - rank, n_u), list(zip(range(n_c), range(n_u - rank, n_u), strict=False))
     if jacobians:
         order, worst = _pivot(jacobians, n_c, dependent, rank)
-        if worst < GOOD_PIVOT:
+        if worst < Threshold.STATIC_PIVOT_RATIO:
             order, _ = _pivot(jacobians, n_c, range(n_u), rank)
     rows, speeds = [row for row, _ in order], [speed for _, speed in order]
     return PivotOrder(
@@ -258,7 +256,7 @@ def _pivot(
 ) -> tuple[list[tuple[int, int]], float]:
     """Pairs of row and speed in pivot order; the smallest pivot ratio of all steps, as a mean over the examples."""
     matrices = [[list(row) for row in jacobian] for jacobian in jacobians]
-    noise = [[NOISE * max(map(abs, row)) for row in matrix] for matrix in matrices]
+    noise = [[NOISE_RTOL * max(map(abs, row)) for row in matrix] for matrix in matrices]
     waiting, worst = list(itertools.product(range(n_c), speeds)), 0.0
     order: list[tuple[int, int]] = []
     while waiting and len(order) < rank:
@@ -283,4 +281,4 @@ def _pivot(
 
 def _share(entry: float, largest: float) -> float:
     """The logarithm of the ratio of an entry to the largest remaining one in its row."""
-    return math.log(max(abs(entry) / largest, TINY) if largest else TINY)
+    return math.log(max(abs(entry) / largest, MIN_PIVOT_RATIO) if largest else MIN_PIVOT_RATIO)

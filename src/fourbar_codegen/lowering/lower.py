@@ -42,28 +42,28 @@ from fourbar_codegen.roles import Needs, Role
 
 __all__ = ["lower", "lower_derivatives", "lower_products"]
 
-REGULAR = 1e-9
+MIN_PIVOT_RATIO = 1e-9
 """Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
 
 # Measured with the models of benchmarks/forms.py: by these, each is printed in its fastest form or in one that takes at
 # most a fifth more.
-RECURSIVE = 0.87
+MAX_RECURSIVE_RATIO = 0.87
 """Share of the dense form's operations up to which the recursive form is faster."""
-ELIMINATION = 1.5
+ELIMINATION_COST = 1.5
 """Operations in straight-line code that take the time of one multiplication of a dense elimination, and ..."""
-LOOPS = 3
+LOOP_COST = 3
 """... of one multiplication in the short loops for constraints of a recursion."""
 
 VECTORIZED = {
     Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
     Role.COORDINATE_CHANGE, Role.STATE_RATES,
 }  # fmt: skip
-"""The functions that are also evaluated for several states in the lanes of vectors; see fourbar_side_by_side.h."""
+"""The functions that are also evaluated for batches of states, in the lanes of vectors; see fourbar_lanes.h."""
 
-EXAMPLES = 4
+N_EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""
 
-POINTS = 8
+N_POINTS = 8
 """Pairs of random points at which the constraints' Jacobian is evaluated."""
 
 
@@ -419,7 +419,7 @@ def _at_random_points(e: Equations, entries: Sequence[Scalar]) -> Iterator[list[
 def _random_points(e: Equations) -> Iterator[dict[Scalar, float]]:
     """Random points, some of them near zero coordinates."""
     v, generator = e.variables, random.Random(0)
-    for size in (0.05, 1.0) * POINTS:
+    for size in (0.05, 1.0) * N_POINTS:
         values = {leaf: generator.uniform(0.1, 1.0) for leaf in (v.time, *v.speeds, *v.parameters, *v.inputs)}
         yield values | {leaf: generator.uniform(-size, size) for leaf in v.coordinates}
 
@@ -439,7 +439,7 @@ def _structure(e: Equations, rank: int) -> Structure | None:
         return None  # redundant constraints need pivoting
     mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.dynamics.mass_matrix.entries[i * n_u + j])
     jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.velocities.jacobian.entries[i * n_u + j])
-    examples = [_example(e, values) for values in itertools.islice(_random_points(e), EXAMPLES if n_c else 0)]
+    examples = [_example(e, values) for values in itertools.islice(_random_points(e), N_EXAMPLES if n_c else 0)]
     return find_structure(n_u, n_c, mass, jacobian, examples)
 
 
@@ -469,15 +469,17 @@ def _costs(e: Equations, rank: int, structure: Structure | None) -> dict[str, fl
     d, count, recursion = e.dynamics, e.tape.count_operations, e.dynamics.recursion
     common = (*d.coordinate_rates.entries, *e.velocities.jacobian.entries, *e.velocities.acceleration_bias.entries)
     formed = count([*common, *d.forcing.entries, *d.mass_matrix.entries])
-    costs = {"dense": formed + ELIMINATION * solution_cost(n_u, n_c, None)}
+    costs = {"dense": formed + ELIMINATION_COST * solution_cost(n_u, n_c, None)}
     if structure is not None:
-        costs["sparse"] = formed + ELIMINATION * solution_cost(n_u, n_c, structure)
+        costs["sparse"] = formed + ELIMINATION_COST * solution_cost(n_u, n_c, structure)
     # Redundant constraints need pivoting, and a recursion a regular M.
     if recursion is not None and rank == n_c and _is_regular(e, recursion):
         n_jacobian = sum(map(bool, e.velocities.jacobian.entries))
         of_solution = count(recursion.solution.entries) - count(recursion.pivots.entries)
         formed = count([*common, *recursion.forcing.entries, *recursion.solution.entries])
-        costs["recursive"] = (formed + LOOPS * recursive_cost(n_u, n_c, n_jacobian, of_solution)) / RECURSIVE
+        costs["recursive"] = (
+            formed + LOOP_COST * recursive_cost(n_u, n_c, n_jacobian, of_solution)
+        ) / MAX_RECURSIVE_RATIO
     return costs
 
 
@@ -493,7 +495,7 @@ def _is_regular(e: Equations, recursion: Recursion) -> bool:
         for numbers in itertools.islice(_at_random_points(e, [*recursion.pivots.entries, *diagonal]), 2)
         for pivot, size in zip(numbers[:n_u], numbers[n_u:], strict=True)
     ]
-    return all(abs(pivot) > REGULAR * abs(size) for pivot, size in pairs)
+    return all(abs(pivot) > MIN_PIVOT_RATIO * abs(size) for pivot, size in pairs)
 
 
 class _Nodes:

@@ -67,7 +67,7 @@ class Function:
     role : Role or None
         What it computes; None for what only other functions call.
     is_vectorized : bool
-        Whether it is also evaluated for several states in the lanes of vectors.
+        Whether it is also evaluated for batches of states, in the lanes of vectors.
     factors : Function or None
         Of products of derivatives with a direction: what they need of a state, which is their argument `factors`.
     """
@@ -221,7 +221,7 @@ class Sizes:
     n_points, n_forces : int
         Drawn points, and those of them with forces of inputs.
     n_breakpoints : int
-        Times at which expressions have a jump or a kink.
+        Breakpoints, times at which expressions of time may have a jump or a kink.
     rank : int
         The number of velocity constraints that are not redundant: that of dependent speeds, or fewer.
     n_constants : int

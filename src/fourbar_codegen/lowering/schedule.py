@@ -18,7 +18,7 @@ from fourbar_codegen.lowering.program import Function, Program
 from fourbar_codegen.roles import Role
 
 __all__ = [
-    "TOGETHER",
+    "ANGLES_PER_VECTOR",
     "Assign",
     "Carry",
     "Clear",
@@ -34,23 +34,23 @@ __all__ = [
     "schedule_function",
 ]
 
-INLINED = 8
+MAX_INLINED_OPERANDS = 8
 """Most operands of an expression that is written inline instead of on a line of its own."""
 
 MAX_STATEMENTS = 500
 """Statements in one C function. Compilers need more than linear time for longer ones."""
 
-PART = 200
+STATEMENTS_PER_PART = 200
 """Statements in each part of a longer one."""
 
-TOGETHER = 4
-"""Angles whose sines and cosines `fb_angles_of` evaluates side by side."""
+ANGLES_PER_VECTOR = 4
+"""Angles whose sines and cosines `fb_angles_of` evaluates in the lanes of a vector."""
 
-ZEROS = 32
+MAX_SINGLE_ZEROS = 32
 """Zeros in a result that are stored one by one."""
 
-SHORT = 600
-"""Most operations of equations that are inlined into their callers. For states side by side, this gains 7 % for a chain
+MAX_INLINED_OPERATIONS = 600
+"""Most operations of equations that are inlined into their callers. For batches of states, this gains 7 % for a chain
 of eight links (527), and 3 % for the bicycle (1301), which then takes 50 % longer to compile."""
 
 MAX_ARGUMENTS = 4
@@ -168,7 +168,7 @@ class Schedule:
     program : Program
     functions : tuple of ScheduledFunction
     has_batches : bool
-        Whether there are functions for several states side by side. There must be a fixed pivot order, x' must not need
+        Whether there are functions for batches of states. There must be a fixed pivot order, x' must not need
         multipliers or unknown forces, and no function of many arguments may be called.
     is_short : bool
         Whether the equations are inlined into their callers; see fourbar_real.h.
@@ -200,7 +200,7 @@ def schedule(program: Program) -> Schedule:
         program=program,
         functions=tuple(schedule_function(f, inline_angles=True) for f in functions),
         has_batches=few_arguments and can_solve and not (program.states_need_multipliers or sizes.n_n),
-        is_short=next(f for f in functions if f.role is Role.DYNAMICS).operations <= SHORT,
+        is_short=next(f for f in functions if f.role is Role.DYNAMICS).operations <= MAX_INLINED_OPERATIONS,
     )
 
 
@@ -241,7 +241,7 @@ class _Lines:
         lengths: dict[int, int] = {}  # operands in the text of inline nodes
         for node, operation in self.operations.items():
             length = sum(lengths.get(operand, 1) for operand in operands(operation))
-            if node not in named and not isinstance(operation, Call) and length <= INLINED:
+            if node not in named and not isinstance(operation, Call) and length <= MAX_INLINED_OPERANDS:
                 lengths[node] = length
         self.lines = [node for node in self.operations if node not in lengths]
         self.named = {*self.lines, *(node for array in function.arguments for node in array.nodes)}
@@ -284,14 +284,14 @@ class _Block:
 
 
 def _blocks(function: Function, lines: _Lines) -> list[_Block]:
-    count = 1 if len(lines.lines) <= MAX_STATEMENTS else -(-len(lines.lines) // PART)
+    count = 1 if len(lines.lines) <= MAX_STATEMENTS else -(-len(lines.lines) // STATEMENTS_PER_PART)
     size = max(1, -(-len(lines.lines) // count))
     defined_in = {node: position // size for position, node in enumerate(lines.lines)}
     stores: list[list[Store]] = [[] for _ in range(count)]
     used: list[set[int]] = [set() for _ in range(count)]
     cleared: list[Clear] = []
     for result in function.results:
-        sparse = sum(not entry for entry in result.entries) > ZEROS
+        sparse = sum(not entry for entry in result.entries) > MAX_SINGLE_ZEROS
         if sparse:
             cleared.append(Clear(result.name, len(result.entries)))
         for position, entry in enumerate(result.entries):
@@ -356,8 +356,8 @@ def _assignments(block: _Block, lines: _Lines) -> Sequence[tuple[Step, set[int]]
         angles = []
     taken: dict[int, tuple[int, str, int]] = {}
     evaluated: list[tuple[Step, set[int]]] = []
-    for group, start in enumerate(range(0, len(angles), TOGETHER)):
-        members = angles[start : start + TOGETHER]
+    for group, start in enumerate(range(0, len(angles), ANGLES_PER_VECTOR)):
+        members = angles[start : start + ANGLES_PER_VECTOR]
         evaluated.append((EvaluateAngles(group, tuple(members)), set(members)))
         for line, (function, angle) in inline.items():
             if angle in members:

@@ -14,7 +14,7 @@ __all__ = ["gravity"]
 
 Triple = tuple[float, float, float]
 
-CLOSE = 1e-9
+SAME_RTOL = 1e-9
 """Relative tolerance for accelerations that are the same, and for their components along other axes."""
 
 ON_EARTH = (9.7, 9.9)
@@ -58,9 +58,9 @@ def gravity(
     if not by_symbols:
         return None
     first, largest = by_symbols[0], max(abs(part) for found in by_symbols for part in found)
-    if any(abs(a - b) > CLOSE * largest for found in by_symbols for a, b in zip(first, found, strict=True)):
+    if any(abs(a - b) > SAME_RTOL * largest for found in by_symbols for a, b in zip(first, found, strict=True)):
         return None
-    x, y, z = ((part > 0) - (part < 0) if abs(part) > CLOSE * largest else 0 for part in first)
+    x, y, z = ((part > 0) - (part < 0) if abs(part) > SAME_RTOL * largest else 0 for part in first)
     return (x, y, z) if abs(x) + abs(y) + abs(z) == 1 else None
 
 
@@ -88,7 +88,7 @@ def _acceleration(parts: list[sm.Expr], mass: sm.Expr, values: Mapping[sm.Basic,
         x, y, z = (part / size for part in force if part is not None)
         if first is None:
             first = (x, y, z)
-        elif max(abs(x - first[0]), abs(y - first[1]), abs(z - first[2])) > CLOSE * max(map(abs, first)):
+        elif max(abs(x - first[0]), abs(y - first[1]), abs(z - first[2])) > SAME_RTOL * max(map(abs, first)):
             return None
     return first
 

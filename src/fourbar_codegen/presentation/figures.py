@@ -15,7 +15,7 @@ from fourbar_codegen.arguments import name_of, positive
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.presentation.drawing import Panel, drawing, equal_times, panels
 from fourbar_codegen.presentation.scene import SYMBOLS, Scene, View, known_points, scene, view_of
-from fourbar_codegen.progress import PATIENCE
+from fourbar_codegen.progress import QUIET_SECONDS
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -442,7 +442,7 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=None)
     from tqdm import tqdm
 
-    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="frame", delay=PATIENCE, disable=None) as bar:
+    with tqdm(desc=f"{trajectory.model.name}, {kind.upper()}", unit="frame", delay=QUIET_SECONDS, disable=None) as bar:
 
         def advance(_: int, total: int) -> None:
             bar.total = total

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.kernel.inputs import by_values
+from fourbar_codegen.kernel.inputs import wrt_values
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import (
     Directions,
@@ -80,17 +80,17 @@ class KeptSteps:
     def gradient(self, cost: Any) -> dict[str, Any]:
         """The gradient of a cost; see `Trajectory.gradient`."""
         model, parameters = self.model, self.parameters
-        start, by_parameters, by_sources = self.steps.gradient(*self._by_samples(cost))
-        found: dict[str, Any] = dict(zip(model.parameters, by_parameters.tolist(), strict=True))
+        start, wrt_parameters, wrt_sources = self.steps.gradient(*self._by_samples(cost))
+        found: dict[str, Any] = dict(zip(model.parameters, wrt_parameters.tolist(), strict=True))
         for key, source in self.inputs.items():
-            found[name_of(key)] = by_values(model, name_of(key), source, by_sources)
+            found[name_of(key)] = wrt_values(model, name_of(key), source, wrt_sources)
         # A given state depends on no parameter and no input, except as dx0 says.
         names = [n for n in differentiable(model, self.inputs) if n not in self.dx0]
         moved = [n for n in names if n in model.states or not self.starts_from_x0]
-        followed = initial_derivatives(model, self.t, self.steps.start, parameters, self.inputs, moved)
-        for name, derivative in (followed | dict(self.dx0)).items():
-            by_start = derivative @ start
-            found[name] = found.get(name, 0.0) + (by_start if by_start.shape else float(by_start))
+        derivatives = initial_derivatives(model, self.t, self.steps.start, parameters, self.inputs, moved)
+        for name, derivative in (derivatives | dict(self.dx0)).items():
+            wrt_start = derivative @ start
+            found[name] = found.get(name, 0.0) + (wrt_start if wrt_start.shape else float(wrt_start))
         end, duration = self.steps.end
         states = [(self.t, self.steps.start), (self.t + duration, end)]
         locked = locked_parameters(model, states, parameters, self.inputs)
@@ -99,9 +99,9 @@ class KeptSteps:
         return found
 
     def _by_samples(self, cost: Any) -> tuple[Floats, Floats | None]:
-        """The cost's derivatives by the samples' states and outputs, a row for each sample."""
+        """The cost's derivatives with respect to the samples' states and outputs, a row for each sample."""
         model, n_t = self.model, self.n_t
-        by_states, by_outputs = np.zeros((n_t, model.n_x)), np.zeros((n_t, model.n_o))
+        wrt_states, wrt_outputs = np.zeros((n_t, model.n_x)), np.zeros((n_t, model.n_o))
         if is_mapping(cost):
             for name, values in named(cost, (*model.states, *model.outputs), "state or output").items():
                 row = numbers(values, f"The derivative of the cost by {name}")
@@ -109,19 +109,19 @@ class KeptSteps:
                     raise ModelError(
                         f"The derivative of the cost by {name} must have the shape ({n_t},), not {row.shape}."
                     )
-                of, names = (by_states, model.states) if name in model.states else (by_outputs, model.outputs)
+                of, names = (wrt_states, model.states) if name in model.states else (wrt_outputs, model.outputs)
                 of[:, names.index(name)] = row
         else:
-            by_states = numbers(cost, "The derivatives of the cost").T
-            if by_states.shape != (n_t, model.n_x):
+            wrt_states = numbers(cost, "The derivatives of the cost").T
+            if wrt_states.shape != (n_t, model.n_x):
                 raise ModelError(
-                    f"The derivatives of the cost by the states must have the shape ({model.n_x}, {n_t}) of the states "
-                    f"over time, not {by_states.T.shape}; or give a mapping from names of states and outputs to arrays "
-                    f"of shape ({n_t},)."
+                    f"The derivatives of the cost with respect to the states must have the shape ({model.n_x}, {n_t}) "
+                    f"of the states over time, not {wrt_states.T.shape}; or give a mapping from names of states and "
+                    f"outputs to arrays of shape ({n_t},)."
                 )
-        if not (np.isfinite(by_states).all() and np.isfinite(by_outputs).all()):
+        if not (np.isfinite(wrt_states).all() and np.isfinite(wrt_outputs).all()):
             raise ModelError("The derivatives of the cost must be finite.")
-        return by_states, by_outputs if by_outputs.any() else None
+        return wrt_states, wrt_outputs if wrt_outputs.any() else None
 
 
 def output_sensitivity(

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
-ROUGH = 0.01
+INTERPOLATION_RTOL = 0.01
 """Interpolation errors of more than this share of a state's range cause a warning."""
 
 Floats = NDArray[np.float64]
@@ -342,10 +342,10 @@ class Trajectory:
         Returns
         -------
         dict of str to float or ndarray
-            The derivatives by parameters; by initial values of the independent coordinates and speeds and of the
-            auxiliary states, where the others follow from loop closure; and by given inputs: a number, or an array with
-            an entry for each value of a table. A given ``x0`` depends on no parameter and no input. Left out are
-            parameters on which times of jumps depend, those with other values of which speeds would jump by an
+            The derivatives with respect to parameters; to initial values of the independent coordinates and speeds and
+            of the auxiliary states, where the others follow from loop closure; and to given inputs: a number, or an
+            array with an entry for each value of a table. A given ``x0`` depends on no parameter and no input. Left out
+            are parameters on which times of jumps depend, those with other values of which speeds would jump by an
             expression of time in the model, and those that redundant constraints do not let change alone.
 
         Raises
@@ -646,9 +646,9 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
     slopes = 1.125 * np.diff(y) / h + 0.1875 * rates[0] - 0.3125 * rates[1]
     exact = np.transpose([ode(time, x) for time, x in zip(t[:-1] + h / 4.0, quarters.T, strict=True)])
     errors = np.nan_to_num(np.abs(slopes - exact) * h / 3.0).max(axis=1)
-    share = errors / np.maximum(np.ptp(y, axis=1), ROUGH)
+    share = errors / np.maximum(np.ptp(y, axis=1), INTERPOLATION_RTOL)
     worst = int(np.argmax(share))
-    if share[worst] > ROUGH:
+    if share[worst] > INTERPOLATION_RTOL:
         warnings.warn(
             f"Stored times are up to {h.max():.3g} s apart. Between them {names[worst]} is interpolated with errors of "
             f"about {errors[worst]:.2g}: store more times by t_eval, or take dense_output=True.",

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Many states, or many runs, at once: see ``fourbar_batch.h``."""
+"""Batches of states, and ensembles of runs: see ``fourbar_batch.h``."""
 
 cimport cython
 cimport numpy as cnp
@@ -14,13 +14,13 @@ import numpy as np
 cnp.import_array()
 
 cdef extern from "fourbar_batch.h":
-    ctypedef struct fb_columns:
+    ctypedef struct fb_batch_array:
         const double *values
         long stride
     ctypedef struct fb_batch:
         const fb_kernel *kernel
         long n
-        fb_columns t, x, p, r
+        fb_batch_array t, x, p, r
         double *rates
     int fb_batch_one_by_one(const fb_batch *, long, long) noexcept nogil
     const int FB_MEMBER_DONE
@@ -62,44 +62,44 @@ cdef extern from "fourbar_jacobians.h":
     ctypedef struct fb_jacobians:
         const fb_kernel *kernel
         long n
-        fb_columns t, x, p, r, rates, multipliers
+        fb_batch_array t, x, p, r, rates, multipliers
         const char *in_force
         int variables
         double *of_rates
         double *of_outputs
         int formulation
         double *residual
-        double *by_state
-        double *by_rate
-        double *by_parameters
-        double *by_inputs
+        double *wrt_state
+        double *wrt_rate
+        double *wrt_parameters
+        double *wrt_inputs
     int fb_evaluate_jacobians(const fb_jacobians *, long, long) noexcept nogil
 
 DONE = FB_MEMBER_DONE
 
 
 cdef const fb_batch_functions *_batch_functions(Evaluator evaluator) noexcept:
-    """The functions for several states side by side, or NULL."""
+    """The functions for batches of states, or NULL."""
     cdef const fb_batch_functions *functions = evaluator.kernel.batch_functions
     return functions if functions != NULL and functions.width > 1 else NULL
 
 
 def width(Evaluator evaluator not None):
-    """The number of states that are evaluated side by side."""
+    """The number of lanes, with a state in each."""
     return _batch_functions(evaluator).width if _batch_functions(evaluator) != NULL else 1
 
 
-cdef fb_columns _columns(cnp.ndarray array, int axes):
-    """A contiguous array with `axes` axes, the last one for the states; or with one less, common to all states."""
-    cdef fb_columns columns
-    columns.values = data(array)
-    columns.stride = cnp.PyArray_DIM(array, axes - 1) if cnp.PyArray_NDIM(array) == axes else 0
-    return columns
+cdef fb_batch_array _batch_array(cnp.ndarray array, int axes):
+    """Values of each state in the columns of an array with that number of axes, or one column common to all."""
+    cdef fb_batch_array result
+    result.values = data(array)
+    result.stride = cnp.PyArray_DIM(array, axes - 1) if cnp.PyArray_NDIM(array) == axes else 0
+    return result
 
 
 @cython.final
 cdef class Batch:
-    """The right-hand side at many states; arrays are of double and contiguous, see `_columns`.
+    """The right-hand side at a batch of states; arrays are of double and contiguous, see `_batch_array`.
 
     Parameters
     ----------
@@ -120,9 +120,9 @@ cdef class Batch:
     def __cinit__(self, Evaluator evaluator not None, t, x, p, r, cnp.ndarray rates not None):
         self.evaluator, self.kept = evaluator, [t, x, p, r, rates]
         self.batch.kernel, self.batch.n, self.batch.rates = evaluator.kernel, np.shape(x)[1], data(rates)
-        self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
+        self.batch.t, self.batch.x, self.batch.p = _batch_array(t, 1), _batch_array(x, 2), _batch_array(p, 2)
         if r is not None:
-            self.batch.r = _columns(r, 2)
+            self.batch.r = _batch_array(r, 2)
 
     def evaluate(self, long begin, long end):
         """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
@@ -139,7 +139,7 @@ cdef class Batch:
 
 @cython.final
 cdef class Jacobians:
-    """Jacobians at many states; arrays are of double and contiguous, see `Batch`.
+    """Jacobians at a batch of states; arrays are of double and contiguous, see `Batch`.
 
     Parameters
     ----------
@@ -165,13 +165,13 @@ cdef class Jacobians:
         self.evaluator, self.kept = evaluator, [t, x, p, r, in_force]
         evaluator.function(FB_STATE_PARTIALS)
         self.batch.kernel, self.batch.n = evaluator.kernel, np.shape(x)[1]
-        self.batch.t, self.batch.x, self.batch.p = _columns(t, 1), _columns(x, 2), _columns(p, 2)
+        self.batch.t, self.batch.x, self.batch.p = _batch_array(t, 1), _batch_array(x, 2), _batch_array(p, 2)
         self.batch.in_force = <const char *>cnp.PyArray_DATA(in_force)
         if r is not None:
-            self.batch.r = _columns(r, 2)
+            self.batch.r = _batch_array(r, 2)
 
     def differentiate(self, str variables, bint outputs):
-        """Prepare derivatives by "state", "parameters" or "inputs"."""
+        """Prepare derivatives with respect to "state", "parameters" or "inputs"."""
         cdef int places = ("state", "parameters", "inputs").index(variables)
         cdef Evaluator e = self.evaluator
         cdef int m = (e.n_x, e.n_p, e.n_r)[places]
@@ -193,7 +193,7 @@ cdef class Jacobians:
         cdef double *result
         e.function(FB_CONSTRAINT_JVP)
         self.kept += [rates, multipliers]
-        self.batch.rates, self.batch.multipliers = _columns(rates, 2), _columns(multipliers, 2)
+        self.batch.rates, self.batch.multipliers = _batch_array(rates, 2), _batch_array(multipliers, 2)
         self.batch.formulation = FB_INDEX_1 if formulation == "index-1" else FB_INDEX_3
         self.results = []
         if not wrt:
@@ -205,13 +205,13 @@ cdef class Jacobians:
             result = data(part)
             self.results.append(part)
             if name == "y":
-                self.batch.by_state = result
+                self.batch.wrt_state = result
             elif name == "rates":
-                self.batch.by_rate = result
+                self.batch.wrt_rate = result
             elif name == "p":
-                self.batch.by_parameters = result
+                self.batch.wrt_parameters = result
             else:
-                self.batch.by_inputs = result
+                self.batch.wrt_inputs = result
 
     def evaluate(self, long begin, long end):
         """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
@@ -224,7 +224,7 @@ cdef class Jacobians:
 
 @cython.final
 cdef class Members:
-    """Runs of RK45 or DOP853 side by side; arrays are of double and contiguous.
+    """Runs of RK45 or DOP853, a run in each lane; arrays are of double and contiguous.
 
     Parameters
     ----------
@@ -242,7 +242,7 @@ cdef class Members:
     project : bool
     times : ndarray, shape (n_t,)
     breaks : ndarray, shape (3, n)
-        Sorted times of jumps or kinks of inputs, at which steps end; the times up to which inputs are evaluated before
+        Sorted breakpoints of inputs, at which steps end; the times up to which inputs are evaluated before
         them; and those from which on after them.
     max_steps : int
         After this number of steps a member has to be run alone; 0 for no limit.

@@ -168,4 +168,4 @@ cdef class Evaluator:
     cdef const fb_function *function(self, int role) except NULL
     cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r, cnp.ndarray multipliers=*)
     cdef cnp.ndarray _differentiate_outputs(self, int role, int outputs, int columns, double t, x, p, r)
-    cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing)
+    cdef cnp.ndarray _through_inputs(self, cnp.ndarray wrt_inputs, cnp.ndarray wrt_parameters, list changing)

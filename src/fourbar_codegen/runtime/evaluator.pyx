@@ -15,24 +15,24 @@ from fourbar_codegen.errors import ModelError, SimulationError, shown
 
 cnp.import_array()
 
-cdef extern from "fourbar_follow.h":
-    int FB_FOLLOWS
-    int FB_COORDINATES_DO_NOT
-    int FB_SPEEDS_DO_NOT
-    ctypedef struct fb_follow:
+cdef extern from "fourbar_dependent.h":
+    int FB_DETERMINATE
+    int FB_COORDINATES_UNDETERMINED
+    int FB_SPEEDS_UNDETERMINED
+    ctypedef struct fb_dependent:
         int n_qd, n_ud, n
         double *directions
         double *corrections
         double *left
         double pivot
-    size_t fb_place_follow(const fb_kernel *, fb_follow *, double *) noexcept nogil
-    int fb_follow_at(const fb_kernel *, double, const double *, const double *, const double *,
-                     fb_follow *) noexcept nogil
+    size_t fb_place_dependent(const fb_kernel *, fb_dependent *, double *) noexcept nogil
+    int fb_implicit_derivatives(const fb_kernel *, double, const double *, const double *, const double *,
+                                fb_dependent *) noexcept nogil
 
 cdef extern from "fourbar_batch.h":
     int fb_batch_functions_agree(const fb_batch_functions *) noexcept nogil
 
-_FOLLOWS = {FB_FOLLOWS: "", FB_COORDINATES_DO_NOT: "coordinates", FB_SPEEDS_DO_NOT: "speeds"}
+_UNDETERMINED = {FB_DETERMINATE: "", FB_COORDINATES_UNDETERMINED: "coordinates", FB_SPEEDS_UNDETERMINED: "speeds"}
 
 OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
@@ -268,7 +268,7 @@ cdef class Evaluator:
 
     @property
     def lacks_batch_functions(self):
-        """Whether the functions for several states side by side are in a library that is not attached yet."""
+        """Whether the functions for batches of states are in a library that is not attached yet."""
         return self.kernel.batch_functions == NULL and self.kernel.batch_functions_apart != 0
 
     @property
@@ -294,7 +294,7 @@ cdef class Evaluator:
         return "native" if self.kernel.one_machine else ("baseline", "avx2", "avx512")[self.kernel.instructions]
 
     def _attach_batch_functions(self, size_t address):
-        """Attach an ``fb_batch_functions`` that was built separately: functions for states side by side.
+        """Attach an ``fb_batch_functions`` that was built separately: functions for batches of states.
 
         Raises
         ------
@@ -375,7 +375,8 @@ cdef class Evaluator:
         cdef int i, status
         cdef list read = None, results = [None] * f.n_results
         if f.needs & (FB_NEEDS_STATE | FB_NEEDS_COORDINATES):
-            inputs = self._inputs(t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_prescribed)
+            inputs = self._inputs(
+                t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_prescribed)
             state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
         if f.needs & FB_NEEDS_ACCELERATIONS:
             held = vector(accelerations, self.n_u, "The accelerations")
@@ -393,7 +394,9 @@ cdef class Evaluator:
         at.t, at.n_directions = t, 0
         at.constants = self._prepare(parameters)
         at.x = NULL if state is None else data(state)
-        at.r = NULL if state is None else self._fill(t, at.constants, inputs)
+        at.r = NULL
+        if state is not None:
+            at.r = self._fill(t, at.constants, inputs)
         at.accelerations = NULL if held is None else data(held)
         at.multipliers = NULL if forces is None else data(forces)
         status = f.call(&at, given, found, self.work)
@@ -635,22 +638,22 @@ cdef class Evaluator:
         """
         t = time_of(t)
         cdef cnp.ndarray result = self._differentiate(FB_PARAMETER_PARTIALS, self.n_p, t, x, p, r)
-        cdef cnp.ndarray by_inputs
-        cdef cnp.ndarray by_parameters = self._default_input_partials(t, p)
-        cdef list changing = self._changing(by_parameters, r)
+        cdef cnp.ndarray wrt_inputs
+        cdef cnp.ndarray wrt_parameters = self._default_input_partials(t, p)
+        cdef list changing = self._changing(wrt_parameters, r)
         if not changing:
             return result
-        by_inputs = self._differentiate(FB_INPUT_PARTIALS, self.n_r, t, x, p, r)
-        return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
+        wrt_inputs = self._differentiate(FB_INPUT_PARTIALS, self.n_r, t, x, p, r)
+        return self._finite_or_raise(result + self._through_inputs(wrt_inputs, wrt_parameters, changing), t, x)
 
-    def _changing(self, by_parameters, r):
+    def _changing(self, wrt_parameters, r):
         """The inputs whose expressions change with the parameters; others are skipped, since dx'/dr may be infinite."""
         in_force = self.defaults_in_force(r)
-        return [j for j in range(self.n_r) if in_force[j] and by_parameters[j].any()]
+        return [j for j in range(self.n_r) if in_force[j] and wrt_parameters[j].any()]
 
-    cdef cnp.ndarray _through_inputs(self, cnp.ndarray by_inputs, cnp.ndarray by_parameters, list changing):
+    cdef cnp.ndarray _through_inputs(self, cnp.ndarray wrt_inputs, cnp.ndarray wrt_parameters, list changing):
         """The derivatives with respect to the parameters through inputs' expressions."""
-        return np.matmul(by_inputs[:, changing], by_parameters[changing])
+        return np.matmul(wrt_inputs[:, changing], wrt_parameters[changing])
 
     def _finite_or_raise(self, cnp.ndarray result, double t, x):
         if not np.isfinite(result).all():
@@ -718,12 +721,12 @@ cdef class Evaluator:
         t = time_of(t)
         cdef cnp.ndarray result = self._differentiate_outputs(
             FB_PARAMETER_PARTIALS, FB_OUTPUT_PARAMETER_PARTIALS, self.n_p, t, x, p, r)
-        cdef cnp.ndarray by_parameters = self._default_input_partials(t, p)
-        cdef list changing = self._changing(by_parameters, r)
+        cdef cnp.ndarray wrt_parameters = self._default_input_partials(t, p)
+        cdef list changing = self._changing(wrt_parameters, r)
         if not changing:
             return result
-        by_inputs = self.output_input_jacobian(t, x, p, r)
-        return self._finite_or_raise(result + self._through_inputs(by_inputs, by_parameters, changing), t, x)
+        wrt_inputs = self.output_input_jacobian(t, x, p, r)
+        return self._finite_or_raise(result + self._through_inputs(wrt_inputs, wrt_parameters, changing), t, x)
 
     def output_input_jacobian(self, t, x, p=None, r=None):
         """The derivatives of the outputs with respect to the inputs.
@@ -765,9 +768,9 @@ cdef class Evaluator:
     def output_derivatives(self, t, x, p=None, r=None):
         """The derivatives of all outputs with respect to state and inputs; see `require_output_derivatives`."""
         t = time_of(t)
-        by_state = self._differentiate_outputs(
+        wrt_state = self._differentiate_outputs(
             FB_STATE_PARTIALS, FB_OUTPUT_STATE_PARTIALS, self.n_x, t, x, p, r)
-        return by_state, self._differentiate_outputs(
+        return wrt_state, self._differentiate_outputs(
             FB_INPUT_PARTIALS, FB_OUTPUT_INPUT_PARTIALS, self.n_r, t, x, p, r)
 
     cdef cnp.ndarray _differentiate_outputs(
@@ -781,9 +784,9 @@ cdef class Evaluator:
         rates = self._differentiate(role, columns, t, x, p, r, of_multipliers)
         solution = self.accelerations(t, x, p, r)
         [result] = self.evaluate(outputs, t, x, p, r, *solution)
-        by_accelerations, by_multipliers = self.evaluate(FB_OUTPUT_SOLUTION_PARTIALS, t, x, p, r, *solution)
-        result += np.matmul(by_accelerations, rates[self.n_q:self.n_q + self.n_u])
-        result += np.matmul(by_multipliers, of_multipliers)
+        wrt_accelerations, wrt_multipliers = self.evaluate(FB_OUTPUT_SOLUTION_PARTIALS, t, x, p, r, *solution)
+        result += np.matmul(wrt_accelerations, rates[self.n_q:self.n_q + self.n_u])
+        result += np.matmul(wrt_multipliers, of_multipliers)
         return self._finite_or_raise(result, t, x)
 
     def input_jacobian(self, t, x, p=None, r=None):
@@ -897,10 +900,10 @@ cdef class Evaluator:
 
         Returns
         -------
-        by_state : ndarray, shape (n_x,)
-        by_parameters : ndarray, shape (n_p,)
+        wrt_state : ndarray, shape (n_x,)
+        wrt_parameters : ndarray, shape (n_p,)
             Including the parameters' effect through inputs whose expressions are in force.
-        by_inputs : ndarray, shape (n_r,)
+        wrt_inputs : ndarray, shape (n_r,)
 
         Raises
         ------
@@ -928,15 +931,15 @@ cdef class Evaluator:
         cdef cnp.ndarray gradient = new_array(self.n_x + self.n_p + self.n_r)
         self.function(FB_RESIDUAL_JVP)
         in_force = np.array(self.defaults_in_force(r), dtype=bool)
-        by_parameters = self._default_input_partials(t, p) * in_force[:, None]
+        wrt_parameters = self._default_input_partials(t, p) * in_force[:, None]
         cdef const double *constants = self._prepare(parameters)
         cdef int status = self.kernel.vjp(
             self.functions, t, data(state), constants, self._fill(t, constants, inputs), data(given), data(gradient),
             self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
-        by_state, by_p, by_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
-        return by_state, by_p + by_inputs @ by_parameters, by_inputs
+        wrt_state, by_p, wrt_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
+        return wrt_state, by_p + wrt_inputs @ wrt_parameters, wrt_inputs
 
     cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r, cnp.ndarray multipliers=None):
         """The derivatives of x' from the partial Jacobian of a role; those of the multipliers go to an array."""
@@ -1089,7 +1092,7 @@ cdef class Evaluator:
 
 
 def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, int n_ud, p, r):
-    """How dependent coordinates and speeds follow, see ``fourbar_follow.h``.
+    """The implicit derivatives of dependent coordinates and speeds, see ``fourbar_dependent.h``.
 
     Parameters
     ----------
@@ -1104,7 +1107,7 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     Returns
     -------
     str
-        What does not follow, "coordinates" or "speeds", or "".
+        What is undetermined, "coordinates" or "speeds", or "".
     ndarray, shape (n_x + n_p + n_r, n)
         The directions with dependent rows filled.
     ndarray, shape (n_x,)
@@ -1112,28 +1115,28 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     float
         The least pivot, as a fraction of the largest.
     ndarray, shape (n + 1,)
-        What redundant constraints do not follow, for each direction and for the step, relative to their entries.
+        By how much redundant constraints are violated, for each direction and for the step, relative to their entries.
     """
     t = time_of(t)
     cdef cnp.ndarray parameters = evaluator._parameters(p)
     cdef cnp.ndarray inputs = evaluator._inputs(t, parameters, r, evaluator.has_prescribed)
     cdef cnp.ndarray state = evaluator._state(t, x, evaluator.n_x), given = numbers(directions, "The directions")
-    cdef cnp.ndarray correction = np.zeros(evaluator.n_x), followed = given.copy(), memory, left
+    cdef cnp.ndarray correction = np.zeros(evaluator.n_x), derivatives = given.copy(), memory, left
     evaluator.function(FB_CONSTRAINT_JVP)
     cdef const double *constants = evaluator._prepare(parameters)
-    cdef fb_follow f
+    cdef fb_dependent f
     cdef int i, rows = evaluator.n_x + evaluator.n_p + evaluator.n_r, n_d = n_qd + n_ud, found
     f.n_qd, f.n_ud, f.n = n_qd, n_ud, cnp.PyArray_DIM(given, 1)
-    memory = new_array(fb_place_follow(evaluator.kernel, &f, NULL))
-    fb_place_follow(evaluator.kernel, &f, data(memory))
+    memory = new_array(fb_place_dependent(evaluator.kernel, &f, NULL))
+    fb_place_dependent(evaluator.kernel, &f, data(memory))
     for i in range(rows):
         memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
-    found = fb_follow_at(
+    found = fb_implicit_derivatives(
         evaluator.kernel, t, data(state), constants, evaluator._fill(t, constants, inputs), &f)
     for i in range(rows):
-        memcpy(data(followed) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
+        memcpy(data(derivatives) + i * f.n, f.directions + i * (n_d + f.n) + n_d, f.n * sizeof(double))
     memcpy(data(correction) + evaluator.n_q - n_qd, f.corrections, n_qd * sizeof(double))
     memcpy(data(correction) + evaluator.n_q + evaluator.n_u - n_ud, f.corrections + n_qd, n_ud * sizeof(double))
     left = new_array(f.n + 1)
     memcpy(data(left), f.left, (f.n + 1) * sizeof(double))
-    return _FOLLOWS[found], followed, correction, f.pivot, left
+    return _UNDETERMINED[found], derivatives, correction, f.pivot, left

@@ -1,5 +1,5 @@
-/* Inline sine and cosine for code that needs both of many angles, by fourbar_sine.h: four angles side by side in SIMD
- * vectors, or, for states side by side, one angle of each state. Angles that are large or not finite are left to the
+/* Inline sine and cosine for code that needs both of many angles, by fourbar_sine.h: four angles in the lanes of a
+ * SIMD vector, or, for batches, one angle of each state. Angles that are large or not finite are left to the
  * library.
  */
 #ifndef FOURBAR_ANGLE_H
@@ -18,7 +18,7 @@ typedef struct fb_angles {
     fb_real sin[4], cos[4];
 } fb_angles;
 
-#ifndef FB_SIDE_BY_SIDE
+#ifndef FB_LANES
 
 #if FLT_EVAL_METHOD == 0
 #define FB_REAL double

@@ -13,11 +13,11 @@
 /* Iterations of a projection with one factorization, and number of factorizations. */
 enum { MAX_CORRECTIONS = 8, MAX_FACTORIZATIONS = 3 };
 /* Tolerance of constraint violations relative to their scales, 45 times the precision of double, ... */
-#define FB_CLOSED 1e-14
+#define FB_CLOSURE_RTOL 1e-14
 /* ... and the tolerance if rounding errors prevent further progress. */
-#define FB_NEARLY_CLOSED 1e-9
+#define FB_LOOSE_CLOSURE_RTOL 1e-9
 /* Pivots below this fraction of the largest do not determine an unknown. */
-#define FB_DETERMINED 1e-10
+#define FB_CLOSURE_PIVOT_RATIO 1e-10
 
 /* Not fmax, which is a library call since it has to skip NaN. */
 static inline double fb_max(double a, double b)
@@ -90,8 +90,8 @@ static inline int fb_eliminate_full(const int n, double *restrict a, double *res
 }
 
 /* Gaussian elimination with complete pivoting of m rows and n columns with k right-hand sides. Stops after n pivots, or
- * at one that is not above FB_DETERMINED, and returns their number; the last one is stored. The unknowns, of shape
- * (n, k), solve the rows of the pivots; others are 0. */
+ * at one that is not above FB_CLOSURE_PIVOT_RATIO, and returns their number; the last one is stored. The unknowns, of
+ * shape (n, k), solve the rows of the pivots; others are 0. */
 static inline int fb_eliminate_rows(const int m, const int n, const int k, double *restrict a, double *restrict b,
                                     int *restrict order, double *restrict solution, double *last)
 {
@@ -110,7 +110,7 @@ static inline int fb_eliminate_rows(const int m, const int n, const int k, doubl
                     column = j;
                 }
         *last = fabs(a[row * n + column]);
-        if (!(*last > FB_DETERMINED))
+        if (!(*last > FB_CLOSURE_PIVOT_RATIO))
             break;
         for (int j = 0; j < n && row != p; ++j)
             fb_swap_double(a + p * n + j, a + row * n + j);

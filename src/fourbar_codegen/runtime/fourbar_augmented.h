@@ -458,7 +458,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         const double violation = fb_violation(a->positions, a->scales, n);
         if (violation != violation)
             return FB_RUN_DIVERGED;
-        if (violation <= FB_CLOSED)
+        if (violation <= FB_CLOSURE_RTOL)
             break;
         if (!fb_least_change(k, a, a->positions))
             return FB_RUN_DIVERGED;
@@ -466,7 +466,7 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
         fb_problem_results(p, FB_INVARIANT_CORRECTION, t, x, NULL, NULL, NULL, &a->correction);
         for (int j = 0; j < k->n_q; ++j)
             x[j] += a->coordinate_change[j] + a->correction[j];
-        if (i == FB_MAX_PROJECTIONS - 1 && !(violation <= FB_NEARLY_CLOSED))
+        if (i == FB_MAX_PROJECTIONS - 1 && !(violation <= FB_LOOSE_CLOSURE_RTOL))
             return FB_RUN_DIVERGED;
     }
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {

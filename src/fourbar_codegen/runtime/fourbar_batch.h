@@ -1,4 +1,4 @@
-/* Arguments and results of a kernel's functions for many states, or many runs, at once. */
+/* Arguments and results of a kernel's functions for a batch of states, and for an ensemble of runs. */
 #ifndef FOURBAR_BATCH_H
 #define FOURBAR_BATCH_H
 
@@ -9,23 +9,25 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* An array of quantities by states: `stride` is the number of states, or 0 if all states share the values. */
-typedef struct fb_columns {
+/* An array of a batch, with a column for each state: `stride` is the number of states, or 0 if all states share the
+ * values. */
+typedef struct fb_batch_array {
     const double *values;
     long stride;
-} fb_columns;
+} fb_batch_array;
 
-static inline double fb_entry(const fb_columns *columns, const int row, const long i)
+static inline double fb_entry(const fb_batch_array *array, const int row, const long i)
 {
-    return columns->values[columns->stride ? row * columns->stride + i : row];
+    return array->values[array->stride ? row * array->stride + i : row];
 }
 
 /* The right-hand side at n states. */
 typedef struct fb_batch {
     const fb_kernel *kernel;
     long n;
-    fb_columns t, x, p, r; /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
-    double *rates;         /* (n_x, n), NaN where the equations cannot be evaluated */
+    fb_batch_array t, x, p,
+        r;         /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
+    double *rates; /* (n_x, n), NaN where the equations cannot be evaluated */
 } fb_batch;
 
 enum FB_MEMBER {
@@ -62,12 +64,12 @@ typedef struct fb_ensemble {
     const int *stop;      /* whether to stop early */
 } fb_ensemble;
 
-/* The sizes of all types passed to a model's functions for states side by side, which may have been built with other
+/* The sizes of all types passed to a model's functions for batches of states, which may have been built with other
  * headers than the caller. */
 typedef struct fb_layout {
     int abi_version;
     size_t batch_functions; /* of fb_batch_functions itself: the following sizes are read only if this one agrees */
-    size_t kernel, batch, columns, ensemble, source, table, tableau;
+    size_t kernel, batch, batch_array, ensemble, source, table, tableau;
 } fb_layout;
 
 #define FB_LAYOUT                                                                                                      \
@@ -75,13 +77,13 @@ typedef struct fb_layout {
      .batch_functions = sizeof(fb_batch_functions),                                                                    \
      .kernel = sizeof(fb_kernel),                                                                                      \
      .batch = sizeof(fb_batch),                                                                                        \
-     .columns = sizeof(fb_columns),                                                                                    \
+     .batch_array = sizeof(fb_batch_array),                                                                            \
      .ensemble = sizeof(fb_ensemble),                                                                                  \
      .source = sizeof(fb_source),                                                                                      \
      .table = sizeof(fb_table),                                                                                        \
      .tableau = sizeof(fb_tableau)}
 
-/* A model's functions for states side by side; width 0 if the compiler has no vectors. */
+/* A model's functions for batches of states; width 0 if the compiler has no vectors. */
 struct fb_batch_functions {
     fb_layout layout;
     int width;
@@ -91,12 +93,12 @@ struct fb_batch_functions {
     int (*run)(const fb_ensemble *ensemble);
 };
 
-/* Whether a model's functions for states side by side were built with these headers. */
+/* Whether a model's functions for batches of states were built with these headers. */
 static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
 {
     const fb_layout own = FB_LAYOUT, *const built = &functions->layout;
     return built->abi_version == own.abi_version && built->batch_functions == own.batch_functions &&
-           built->kernel == own.kernel && built->batch == own.batch && built->columns == own.columns &&
+           built->kernel == own.kernel && built->batch == own.batch && built->batch_array == own.batch_array &&
            built->ensemble == own.ensemble && built->source == own.source && built->table == own.table &&
            built->tableau == own.tableau;
 }

@@ -11,15 +11,15 @@
 #include <string.h>
 
 /* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
-#ifndef FB_RUN_STEPS
-#define FB_RUN_STEPS 1000000
+#ifndef FB_MAX_RUN_STEPS
+#define FB_MAX_RUN_STEPS 1000000
 #endif
 enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
 /* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
  * which the sign of det J_d is another one, and where a step fails. */
-#define FB_PASSED 1e-4
-#define FB_NEARBY 1e-3
+#define FB_PASSED_RATIO 1e-4
+#define FB_FAILED_RATIO 1e-3
 
 static inline double fb_min(const double a, const double b)
 {
@@ -89,7 +89,7 @@ static int fb_close(const double t, double *x, const double *constants, const do
     if (all_finite(x, N_X) != FB_OK)
         return FB_NOT_FINITE;
     double open = N_H > 0 ? fb_open(t, x, constants, r, errors, slopes) : 0.0;
-    for (int i = 0; i < FB_CLOSE_STEPS && open > FB_CLOSED; ++i) {
+    for (int i = 0; i < FB_CLOSE_STEPS && open > FB_CLOSURE_RTOL; ++i) {
         double begin[FB_AT_LEAST_1(N_DQ)], before = open;
         for (int row = 0; row < N_H; ++row)
             for (int j = 0; j < N_DQ; ++j)
@@ -102,17 +102,17 @@ static int fb_close(const double t, double *x, const double *constants, const do
             for (int j = 0; j < N_DQ; ++j)
                 x[N_Q - N_DQ + j] = begin[j] - (unit[j] > 0.0 ? length * change[j] / unit[j] : 0.0);
             open = fb_open(t, x, constants, r, errors, slopes);
-            if (open < before || before <= FB_NEARLY_CLOSED)
+            if (open < before || before <= FB_LOOSE_CLOSURE_RTOL)
                 break;
             length *= 0.5;
         }
         if (!(open < before)) { /* rounding errors, or no way on */
-            if (before <= FB_NEARLY_CLOSED)
+            if (before <= FB_LOOSE_CLOSURE_RTOL)
                 break;
             return FB_NOT_CLOSED;
         }
     }
-    if (!(open <= FB_NEARLY_CLOSED))
+    if (!(open <= FB_LOOSE_CLOSURE_RTOL))
         return open == open ? FB_NOT_CLOSED : FB_NOT_FINITE;
     double jacobian[FB_AT_LEAST_1(N_C * N_U)], bias[FB_AT_LEAST_1(N_C)], of_speeds[FB_AT_LEAST_1(N_C * N_DU)];
     double speed_unit[FB_AT_LEAST_1(N_DU)], speeds[FB_AT_LEAST_1(N_DU)];
@@ -135,8 +135,8 @@ static int fb_close(const double t, double *x, const double *constants, const do
     double unused[FB_AT_LEAST_1(N_H)], position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)];
     constraint_violation(t, x, constants, r, position_violations, velocity_violations);
     constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
-    return fb_violation(velocity_violations, velocity_scale, N_C) <= FB_NEARLY_CLOSED ? all_finite(x, N_X)
-                                                                                      : FB_CONSTRAINTS_DEPENDENT;
+    return fb_violation(velocity_violations, velocity_scale, N_C) <= FB_LOOSE_CLOSURE_RTOL ? all_finite(x, N_X)
+                                                                                           : FB_CONSTRAINTS_DEPENDENT;
 }
 
 #endif

@@ -1,10 +1,10 @@
-/* Runs side by side: the steps of fourbar_integrate.h with a run in each SIMD lane, with its own time and step. When a
- * run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a failed
+/* Runs of an ensemble: the steps of fourbar_integrate.h with a run in each SIMD lane, with its own time and step. When
+ * a run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a failed
  * projection, NaN) is marked and leaves its lane, to be run alone.
  */
 
 typedef struct fb_lanes {
-    fb_side side; /* must come first */
+    fb_lane_equations equations; /* must come first */
     fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
     fb_real x[N_X], t; /* the runs' states and times */
     fb_mask active;
@@ -29,11 +29,11 @@ static inline void fb_lanes_inputs(fb_lanes *restrict c, const fb_ensemble *e, c
 {
     if (N_R == 0)
         return;
-    default_inputs(t, c->side.constants, c->side.inputs);
+    default_inputs(t, c->equations.constants, c->equations.inputs);
     for (int k = 0; k < e->n_sources; ++k)
         for (int lane = 0; lane < FB_WIDTH; ++lane) {
             fb_source *const source = &c->sources[lane][k];
-            c->side.inputs[source->input][lane] =
+            c->equations.inputs[source->input][lane] =
                 source->table ? fb_table_value(source->table, t[lane], &source->interval) : source->value;
         }
 }
@@ -67,7 +67,7 @@ static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const
 {
     const fb_real t = fb_lanes_time(c, e, since);
     fb_lanes_inputs(c, e, t);
-    fb_side_rates(&c->side, t, x, asked, rates);
+    fb_lane_rates(&c->equations, t, x, asked, rates);
     c->n_evaluations -= asked;
 }
 
@@ -108,7 +108,7 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
  * returns the lanes that satisfy the constraints. */
 static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
 {
-    fb_side *const s = &c->side;
+    fb_lane_equations *const s = &c->equations;
     fb_real positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
     fb_real position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
     fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)];
@@ -129,10 +129,10 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
             sum += positions[j];
         }
         open &= sum - sum == 0.0;
-        fb_mask done = size <= FB_CLOSED;
+        fb_mask done = size <= FB_CLOSURE_RTOL;
         if (i > 1) {
             const fb_mask stagnates = ~(size < 0.5 * last);
-            done |= stagnates & (size <= FB_NEARLY_CLOSED);
+            done |= stagnates & (size <= FB_LOOSE_CLOSURE_RTOL);
             closed |= open & done;
             open &= ~stagnates;
         }
@@ -141,9 +141,9 @@ static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_r
         if (!fb_any(open))
             break;
         last = size;
-        fb_solve_side_by_side(NULL, positions, &s->factors, change);
+        fb_solve_lanes(NULL, positions, &s->factors, change);
         coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
-        fb_solve_side_by_side(NULL, velocities, &s->factors, change);
+        fb_solve_lanes(NULL, velocities, &s->factors, change);
         if (N_I > 0) {
             invariant_correction(t, x, s->constants, s->inputs, correction);
             for (int j = 0; j < N_Q; ++j)
@@ -163,12 +163,12 @@ static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, 
                                                           const fb_real since, fb_real *restrict x, const fb_mask asked,
                                                           const int factors_valid)
 {
-    fb_side *const s = &c->side;
+    fb_lane_equations *const s = &c->equations;
     const fb_real t = fb_lanes_time(c, e, since);
     fb_lanes_inputs(c, e, t);
     if (!factors_valid) {
         fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
-        fb_side_equations(s, t, x, coordinate_rates);
+        fb_form_lane_equations(s, t, x, coordinate_rates);
     }
     fb_real given[N_X];
     memcpy(given, x, sizeof given);
@@ -209,7 +209,7 @@ static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, c
 /* Starts the next waiting member in a free lane. */
 static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
-    fb_side *const s = &c->side;
+    fb_lane_equations *const s = &c->equations;
     fb_run *const b = &c->begin;
     for (;;) {
         const long member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
@@ -270,7 +270,7 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
 {
     fb_mask changed = asked & 0;
 #ifndef FB_SPARSE
-    const fb_side *const s = &c->side;
+    const fb_lane_equations *const s = &c->equations;
     fb_real signed_pivot = fb_number(INFINITY), sign = fb_number(1.0);
     if (N_C == 0 || N_RANK < N_C)
         return changed;
@@ -290,7 +290,7 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
             c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
         }
     fb_real pivots[FB_AT_LEAST_1(N_C)];
-    fb_pivots_side_by_side(&s->factors, pivots);
+    fb_pivots_lanes(&s->factors, pivots);
     for (int k = 0; k < N_C; ++k) {
         const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
         const fb_real pivot = fb_abs(pivots[k]) / unit;
@@ -302,7 +302,7 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
     const fb_real both = signed_pivot * c->signed_pivot;
     changed = asked & (both < 0.0);
     c->largest_pivot = fb_select(asked, fb_greater(fb_abs(signed_pivot), c->largest_pivot / growth), c->largest_pivot);
-    const fb_mask close = fb_abs(signed_pivot) < FB_CLOSE_BY * c->largest_pivot;
+    const fb_mask close = fb_abs(signed_pivot) < FB_NEAR_SINGULAR_RATIO * c->largest_pivot;
     const fb_mask unknown = asked & ((both != both) | close);
     if (fb_any(unknown))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
@@ -498,15 +498,15 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
 
 static int run(const fb_ensemble *e)
 {
-    fb_lanes *const c = (fb_lanes *)fb_new_side(e->kernel, sizeof *c);
+    fb_lanes *const c = (fb_lanes *)fb_new_lane_equations(e->kernel, sizeof *c);
     if (c == NULL)
         return -1;
     fb_run *const b = &c->begin;
     const fb_problem problem = {
         .kernel = e->kernel,
-        .constants = c->side.lane_constants,
-        .inputs = c->side.lane_inputs,
-        .work = c->side.work,
+        .constants = c->equations.lane_constants,
+        .inputs = c->equations.lane_inputs,
+        .work = c->equations.work,
         .n_sources = e->n_sources,
         .failed_x = c->lane_failed,
         .moved_x = c->lane_moved,
@@ -533,6 +533,6 @@ static int run(const fb_ensemble *e)
             break;
         fb_lanes_step(c, e);
     }
-    fb_free_side(&c->side);
+    fb_free_lane_equations(&c->equations);
     return 0;
 }

@@ -41,8 +41,8 @@ enum {
 /* The tolerance of co-simulation unless the importer states one; and the violation of the constraints, relative to
  * their terms, from which on model exchange asks for a projection. If the importer states a tolerance, it is that: an
  * integrator begins anew after a projection, so that a smaller violation than its own errors would cost accuracy. */
-#define FB_TOLERANCE 1e-6
-#define FB_VIOLATED 1e-9
+#define FB_FMU_RTOL 1e-6
+#define FB_FMU_VIOLATION_RTOL 1e-9
 
 /* How serialized states begin; the number changes with their contents. */
 #define FMU_KIND "fourbar state 1"
@@ -159,7 +159,7 @@ static void fmu_reset(fmu *f)
             f->state.model.r[k] = 0.0;
     f->state.mode = FMU_INSTANTIATED;
     f->state.is_open = 1;
-    f->state.tolerance = is_cosimulation ? FB_TOLERANCE : FB_VIOLATED;
+    f->state.tolerance = is_cosimulation ? FB_FMU_RTOL : FB_FMU_VIOLATION_RTOL;
 }
 
 static void fmu_free(fmu *f)
@@ -350,9 +350,9 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
 {
     fmu_state *const s = &f->state;
     const int begins = s->mode == FMU_INITIALIZATION;
-    double by_states[N_X * N_X], by_inputs[FMU_AT_LEAST_1(N_X * N_R)];
-    if (!fmu_close(f) || (!begins && (!fmu_check(f, FB_PUBLIC(jacobian)(&s->model, by_states)) ||
-                                      (N_R > 0 && !fmu_check(f, FB_PUBLIC(input_jacobian)(&s->model, by_inputs))))))
+    double wrt_states[N_X * N_X], wrt_inputs[FMU_AT_LEAST_1(N_X * N_R)];
+    if (!fmu_close(f) || (!begins && (!fmu_check(f, FB_PUBLIC(jacobian)(&s->model, wrt_states)) ||
+                                      (N_R > 0 && !fmu_check(f, FB_PUBLIC(input_jacobian)(&s->model, wrt_inputs))))))
         return 0;
     for (size_t j = 0; j < n_knowns; ++j) {
         const int is_state = knowns[j] >= OF_STATES && knowns[j] < OF_RATES;
@@ -377,8 +377,8 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
             if (u < OF_RATES)
                 result[i] += u == k ? seed[j] : 0.0;
             else
-                result[i] += seed[j] * (k < OF_RATES ? by_states[(u - OF_RATES) * N_X + k - OF_STATES]
-                                                     : by_inputs[(u - OF_RATES) * N_R + k - OF_INPUTS]);
+                result[i] += seed[j] * (k < OF_RATES ? wrt_states[(u - OF_RATES) * N_X + k - OF_STATES]
+                                                     : wrt_inputs[(u - OF_RATES) * N_R + k - OF_INPUTS]);
         }
     }
     return 1;

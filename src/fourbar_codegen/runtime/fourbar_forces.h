@@ -18,20 +18,20 @@
 #define FOURBAR_FORCES_H
 
 /* Tolerance of Newton's method: residuals of the rows relative to their terms, ... */
-#define FB_BALANCED 1e-13
+#define FB_FORCES_RTOL 1e-13
 /* ... and the tolerance if rounding errors prevent further progress. */
-#define FB_NEARLY_BALANCED 1e-9
+#define FB_FORCES_LOOSE_RTOL 1e-9
 /* Forces are undetermined if a pivot of G, with rows and columns in units of their terms, is smaller. */
-#define FB_UNDETERMINED 1e-12
+#define FB_FORCES_PIVOT_RATIO 1e-12
 /* Iterations, and iterations that may increase the residual, usually over the kink of an absolute value. */
 enum { FB_MAX_STEPS = 40, FB_FREE_STEPS = 8 };
 
 typedef struct fb_response {
-    double effect[N_U], effect_jacobian[N_U * N_N];                               /* F, dF/dn */
-    double auxiliary_forcing[N_N], auxiliary_forcing_jacobian[N_N * N_N];         /* Q, dQ/dn */
-    double auxiliary_mass[N_N * N_U];                                             /* M_a */
-    double auxiliary_constraint_jacobian[FB_AT_LEAST_1(N_N * N_C)];               /* J_a^T */
-    double by_accelerations[N_N * N_U], by_multipliers[N_N * FB_AT_LEAST_1(N_C)]; /* A, L, column by column */
+    double effect[N_U], effect_jacobian[N_U * N_N];                                 /* F, dF/dn */
+    double auxiliary_forcing[N_N], auxiliary_forcing_jacobian[N_N * N_N];           /* Q, dQ/dn */
+    double auxiliary_mass[N_N * N_U];                                               /* M_a */
+    double auxiliary_constraint_jacobian[FB_AT_LEAST_1(N_N * N_C)];                 /* J_a^T */
+    double wrt_accelerations[N_N * N_U], wrt_multipliers[N_N * FB_AT_LEAST_1(N_C)]; /* A, L, column by column */
     double matrix[N_N * N_N], row_unit[N_N], column_unit[N_N]; /* G, in units of the terms in its rows and columns */
 } fb_response;
 
@@ -61,8 +61,8 @@ static inline void fb_form_response(const double *mass_matrix, const fb_factors 
         double column[N_U];
         for (int i = 0; i < N_U; ++i)
             column[i] = s->effect_jacobian[i * N_N + j];
-        fb_solve(column, at_rest, factors, s->by_accelerations + j * N_U);
-        fb_multipliers(mass_matrix, column, s->by_accelerations + j * N_U, factors, s->by_multipliers + j * N_C);
+        fb_solve(column, at_rest, factors, s->wrt_accelerations + j * N_U);
+        fb_multipliers(mass_matrix, column, s->wrt_accelerations + j * N_U, factors, s->wrt_multipliers + j * N_C);
     }
     double sizes[N_N * N_N];
     for (int row = 0; row < N_N; ++row) {
@@ -70,8 +70,8 @@ static inline void fb_form_response(const double *mass_matrix, const fb_factors 
         for (int j = 0; j < N_N; ++j) {
             const double forcing = s->auxiliary_forcing_jacobian[row * N_N + j];
             sizes[row * N_N + j] = fabs(forcing);
-            s->matrix[row * N_N + j] = fb_auxiliary_row(s, row, forcing, s->by_accelerations + j * N_U,
-                                                        s->by_multipliers + j * N_C, &sizes[row * N_N + j]);
+            s->matrix[row * N_N + j] = fb_auxiliary_row(s, row, forcing, s->wrt_accelerations + j * N_U,
+                                                        s->wrt_multipliers + j * N_C, &sizes[row * N_N + j]);
             largest = fb_max(largest, sizes[row * N_N + j]);
         }
         s->row_unit[row] = largest > 0.0 ? 1.0 / largest : 1.0;
@@ -95,14 +95,14 @@ static inline int fb_respond(const fb_response *s, double *restrict rest, double
         matrix[i] = s->matrix[i];
     for (int j = 0; j < N_N; ++j)
         rest[j] *= -s->row_unit[j];
-    if (!fb_eliminate_full(N_N, matrix, rest, FB_UNDETERMINED))
+    if (!fb_eliminate_full(N_N, matrix, rest, FB_FORCES_PIVOT_RATIO))
         return all_finite(matrix, N_N * N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
     for (int j = 0; j < N_N; ++j) {
         rest[j] *= s->column_unit[j];
         for (int i = 0; i < N_U; ++i)
-            accelerations[i] += s->by_accelerations[j * N_U + i] * rest[j];
+            accelerations[i] += s->wrt_accelerations[j * N_U + i] * rest[j];
         for (int i = 0; i < N_C; ++i)
-            multipliers[i] += s->by_multipliers[j * N_C + i] * rest[j];
+            multipliers[i] += s->wrt_multipliers[j * N_C + i] * rest[j];
     }
     return FB_OK;
 }
@@ -110,21 +110,21 @@ static inline int fb_respond(const fb_response *s, double *restrict rest, double
 #ifndef FB_LIBRARY
 /* From weights of u', lambda and n, the weights of the auxiliary speeds' rows, and those of u' and lambda for held n.
  */
-static inline int fb_pull_back_forces(const fb_response *s, double *restrict of_accelerations,
-                                      double *restrict of_multipliers, double *restrict rows)
+static inline int fb_forces_vjp(const fb_response *s, double *restrict of_accelerations,
+                                double *restrict of_multipliers, double *restrict rows)
 {
     double transposed[N_N * N_N];
     for (int j = 0; j < N_N; ++j) {
         double sum = of_multipliers[N_C + j];
         for (int i = 0; i < N_U; ++i)
-            sum += s->by_accelerations[j * N_U + i] * of_accelerations[i];
+            sum += s->wrt_accelerations[j * N_U + i] * of_accelerations[i];
         for (int i = 0; i < N_C; ++i)
-            sum += s->by_multipliers[j * N_C + i] * of_multipliers[i];
+            sum += s->wrt_multipliers[j * N_C + i] * of_multipliers[i];
         rows[j] = -s->column_unit[j] * sum;
         for (int i = 0; i < N_N; ++i)
             transposed[j * N_N + i] = s->matrix[i * N_N + j];
     }
-    if (!fb_eliminate_full(N_N, transposed, rows, FB_UNDETERMINED))
+    if (!fb_eliminate_full(N_N, transposed, rows, FB_FORCES_PIVOT_RATIO))
         return all_finite(transposed, N_N * N_N) == FB_OK ? FB_FORCES_UNDETERMINED : FB_NOT_FINITE;
     for (int j = 0; j < N_N; ++j) {
         rows[j] *= s->row_unit[j];
@@ -203,7 +203,7 @@ static inline int fb_newton_for_forces(double t, const double *x, const double *
                                                  multipliers, rest, &size);
             if (status != FB_OK)
                 return status;
-            if (size <= FB_BALANCED || (size <= FB_NEARLY_BALANCED && !(size < 0.5 * last)))
+            if (size <= FB_FORCES_RTOL || (size <= FB_FORCES_LOOSE_RTOL && !(size < 0.5 * last)))
                 return FB_OK;
         }
         if (!is_finite || (step >= FB_FREE_STEPS && !(size < last))) {

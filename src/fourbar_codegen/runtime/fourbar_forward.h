@@ -16,7 +16,7 @@
 #define FOURBAR_FORWARD_H
 
 #include "fourbar_integrate.h"
-#include "fourbar_jumps.h"
+#include "fourbar_velocity_jump.h"
 
 #include <float.h>
 
@@ -191,7 +191,7 @@ static inline int fb_forward_row(fb_run *run, const int row, const int is_known,
 }
 
 /* S after a jump of the speeds, for the state before it: the jump's derivatives are added. */
-static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, double *s)
+static inline int fb_forward_jump(fb_run *run, fb_velocity_jump *jump, const double *x, double *s)
 {
     fb_forward *const f = run->forward;
     fb_problem *const p = run->problem;
@@ -211,7 +211,7 @@ static inline int fb_forward_jump(fb_run *run, fb_jump *jump, const double *x, d
         const double *const before = f->before + block * n_r * f->width;
         double *const rates = f->scratch + block * n, *const others = f->s_old + block * n;
         for (int jumps = 1; jumps >= 0 && status == FB_OK; --jumps) {
-            fb_take_jump(p, jump, jumps);
+            fb_set_jump(p, jump, jumps);
             for (int i = 0; i < n_r; ++i)
                 for (int j = 0; j < f->width && jump->rate[i] >= 0; ++j) {
                     const int place = jump->rate[i] * f->width + j;

@@ -30,9 +30,9 @@ typedef struct fb_implicit {
     int n_y;
     double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
     double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
-    double *velocities, *velocity_jacobian;                             /* J u + b, its derivative by q */
+    double *velocities, *velocity_jacobian;                             /* J u + b, its derivative with respect to q */
     double *rate_jacobian, *residual_jacobian;                          /* from fb_sensitivity */
-    double *state_rates, *by_accelerations, *by_multipliers;            /* z', dz'/du', dz'/dlambda */
+    double *state_rates, *wrt_accelerations, *wrt_multipliers;          /* z', dz'/du', dz'/dlambda */
     double *effect, *effect_jacobian;                                   /* F, dF/dn */
     double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */
     double *auxiliary_mass, *auxiliary_constraint_jacobian;             /* M_a, J_a^T */
@@ -60,8 +60,8 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
         {&s->rate_jacobian, q * x},
         {&s->residual_jacobian, (u + l + z) * x},
         {&s->state_rates, z},
-        {&s->by_accelerations, z * u},
-        {&s->by_multipliers, z * l},
+        {&s->wrt_accelerations, z * u},
+        {&s->wrt_multipliers, z * l},
         {&s->effect, u},
         {&s->effect_jacobian, u * n},
         {&s->auxiliary_forcing, n},
@@ -202,7 +202,7 @@ static inline void fb_implicit_add_rates(const fb_implicit *s, const double c, d
         double *const row = matrix + (n_x - n_z + i) * n;
         row[n_x - n_z + i] += c;
         for (int j = 0; j < n_u; ++j)
-            row[n_q + j] -= c * s->by_accelerations[i * n_u + j];
+            row[n_q + j] -= c * s->wrt_accelerations[i * n_u + j];
     }
     for (int i = 0; i < n_c && s->formulation == FB_INDEX_1; ++i)
         for (int j = 0; j < n_u; ++j)
@@ -241,7 +241,7 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         memcpy(row + n_x, s->auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
         memcpy(row + n_x + n_c, s->auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
     }
-    double *const of_state_rates[] = {s->by_accelerations, s->by_multipliers};
+    double *const of_state_rates[] = {s->wrt_accelerations, s->wrt_multipliers};
     if (n_z > 0)
         fb_problem_results(p, FB_STATE_RATE_PARTIALS, t, y, y_rate + n_q, y + n_x, NULL, of_state_rates);
     for (int i = 0; i < n_z; ++i) {
@@ -249,7 +249,7 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         for (int j = 0; j < n_x; ++j)
             row[j] = -s->residual_jacobian[(n_u + n_l + i) * n_x + j];
         for (int j = 0; j < n_l; ++j)
-            row[n_x + j] = -s->by_multipliers[i * n_l + j];
+            row[n_x + j] = -s->wrt_multipliers[i * n_l + j];
     }
     if (s->formulation == FB_INDEX_1) {
         for (int i = 0; i < n_c; ++i) {

@@ -86,8 +86,8 @@ struct fb_run {
     /* sensitivities, by fourbar_forward.h, or NULL: them, and what is done after a step, which is repeated with a
      * shorter one unless the error is below 1, and, if not NULL, for a sample at t, x */
     struct fb_forward *forward;
-    int (*vary)(fb_run *run, double soon, double *error);
-    int (*vary_sample)(fb_run *run, double t, const double *x);
+    int (*step_jvp)(fb_run *run, double soon, double *error);
+    int (*sample_jvp)(fb_run *run, double t, const double *x);
     fb_kept *kept;   /* for each row of `stages`, or NULL */
     fb_steps *steps; /* or NULL */
     fb_weights stage[FB_MAX_STAGES], error[2], more[4], dense[4];
@@ -530,7 +530,7 @@ static inline int fb_note_sample(fb_run *s, const double t, const double *x)
         s->steps->sample_row[s->n_samples] = s->steps->n - 1;
         s->steps->sample_t[s->n_samples] = t;
     }
-    return s->vary_sample ? s->vary_sample(s, t, x) : 0;
+    return s->sample_jvp ? s->sample_jvp(s, t, x) : 0;
 }
 
 /* The samples of the last step; FB_RUN_FULL if there is no room for them. */
@@ -629,7 +629,7 @@ static inline int fb_varied_step_on(fb_run *s)
             soon = FB_SOON * fabs(s->h);
         const int is_least = fabs(s->h) * FB_MIN_FACTOR < fb_least_step(s->t_old, s->direction);
         double error = 0.0;
-        status = s->vary(s, is_least ? INFINITY : attempt < FB_USUAL_ATTEMPTS ? 0.0 : soon, &error);
+        status = s->step_jvp(s, is_least ? INFINITY : attempt < FB_USUAL_ATTEMPTS ? 0.0 : soon, &error);
         if (status < 0)
             return status;
         /* Derivatives that are not finite ask for nothing. */

@@ -1,30 +1,31 @@
-/* Jacobians at many states, by the kernel for single states: of x', of outputs, and of the residual of the equations of
- * motion as fourbar_implicit.h has it. */
+/* Jacobians at a batch of states, by the kernel for single states: of x', of outputs, and of the residual of the
+ * equations of motion as fourbar_implicit.h has it. */
 #ifndef FOURBAR_JACOBIANS_H
 #define FOURBAR_JACOBIANS_H
 
 #include "fourbar_batch.h"
 #include "fourbar_implicit.h"
 
-enum FB_VARIABLES { FB_BY_STATE = 0, FB_BY_PARAMETERS = 1, FB_BY_INPUTS = 2 };
+enum FB_VARIABLES { FB_BY_STATE = 0, FB_WRT_PARAMETERS = 1, FB_WRT_INPUTS = 2 };
 
 typedef struct fb_jacobians {
     const fb_kernel *kernel; /* with derivatives, and with their products for the residual */
     long n;
-    fb_columns t, x, p, r;             /* as in fb_batch */
-    fb_columns rates, multipliers;     /* (n_x, n), (n_l, n), for the residual */
+    fb_batch_array t, x, p, r;         /* as in fb_batch */
+    fb_batch_array rates, multipliers; /* (n_x, n), (n_l, n), for the residual */
     const char *in_force;              /* (n_r,): whether an input follows the parameters by its expression */
     int variables;                     /* FB_VARIABLES, of the first two results */
     double *of_rates, *of_outputs;     /* (n, n_x, m), (n, n_o, m); NaN where there are none; NULL for the residual */
     int formulation;                   /* FB_FORMULATION of the residual */
     double *residual;                  /* (n, n_y), or NULL */
-    double *by_state, *by_rate;        /* (n, n_y, n_y) and (n, n_y, n_y), by (x, lambda) and x'; or NULL */
-    double *by_parameters, *by_inputs; /* (n, n_y, n_p), (n, n_y, n_r); or NULL */
+    double *wrt_state, *wrt_rate; /* (n, n_y, n_y) and (n, n_y, n_y), with respect to (x, lambda) and x'; or NULL */
+    double *wrt_parameters, *wrt_inputs; /* (n, n_y, n_p), (n, n_y, n_r); or NULL */
 } fb_jacobians;
 
 typedef struct fb_jacobian_work {
     double *x, *rates, *p, *r, *constants, *accelerations, *multipliers, *of_multipliers, *more;
-    double *input_jacobian, *partial, *by_accelerations, *by_multipliers, *directions, *changes, *by_state, *by_inputs;
+    double *input_jacobian, *partial, *wrt_accelerations, *wrt_multipliers, *directions, *changes, *wrt_state,
+        *wrt_inputs;
     void *work;
 } fb_jacobian_work;
 
@@ -72,8 +73,8 @@ static inline int fb_total_jacobians(const fb_jacobians *b, fb_jacobian_work *w,
     if (status != FB_OK || of_outputs == NULL || k->n_o == 0)
         return status;
     fb_call_at(k, w, outputs[variables], t, w->accelerations, w->multipliers, NULL, &of_outputs);
-    fb_add_product(k->n_o, k->n_u, m, w->by_accelerations, of_rates + n_q * m, of_outputs);
-    fb_add_product(k->n_o, k->n_l, m, w->by_multipliers, w->of_multipliers, of_outputs);
+    fb_add_product(k->n_o, k->n_u, m, w->wrt_accelerations, of_rates + n_q * m, of_outputs);
+    fb_add_product(k->n_o, k->n_l, m, w->wrt_multipliers, w->of_multipliers, of_outputs);
     return FB_OK;
 }
 
@@ -87,16 +88,16 @@ static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, co
         const int status = k->accelerations(t, w->x, w->constants, w->r, w->accelerations, w->multipliers, w->work);
         if (status != FB_OK)
             return status;
-        double *const by_solution[] = {w->by_accelerations, w->by_multipliers};
-        fb_call_at(k, w, FB_OUTPUT_SOLUTION_PARTIALS, t, w->accelerations, w->multipliers, NULL, by_solution);
+        double *const wrt_solution[] = {w->wrt_accelerations, w->wrt_multipliers};
+        fb_call_at(k, w, FB_OUTPUT_SOLUTION_PARTIALS, t, w->accelerations, w->multipliers, NULL, wrt_solution);
     }
     int status = fb_total_jacobians(b, w, b->variables, t, of_rates, of_outputs);
-    if (status != FB_OK || b->variables != FB_BY_PARAMETERS || k->n_r == 0)
+    if (status != FB_OK || b->variables != FB_WRT_PARAMETERS || k->n_r == 0)
         return status;
     if (!fb_input_changes(b, w, t))
         return FB_OK;
     double *const of_more = of_outputs ? w->more + k->n_x * k->n_r : NULL;
-    status = fb_total_jacobians(b, w, FB_BY_INPUTS, t, w->more, of_more);
+    status = fb_total_jacobians(b, w, FB_WRT_INPUTS, t, w->more, of_more);
     fb_add_through_inputs(k, k->n_x, w->more, w->input_jacobian, of_rates);
     if (of_outputs)
         fb_add_through_inputs(k, k->n_o, of_more, w->input_jacobian, of_outputs);
@@ -119,27 +120,27 @@ static inline size_t fb_place_jacobians(const fb_kernel *k, fb_jacobian_work *w,
         {&w->of_multipliers, l * widest},
         {&w->more, (x + o) * r},
         {&w->input_jacobian, r * p},
-        {&w->by_accelerations, o * u},
-        {&w->by_multipliers, o * l},
+        {&w->wrt_accelerations, o * u},
+        {&w->wrt_multipliers, o * l},
         {&w->partial, (x + l) * widest},
         {&w->directions, (x + p + r) * FB_DIRECTIONS},
         {&w->changes, (k->n_c + k->n_i + k->n_c) * FB_DIRECTIONS},
-        {&w->by_state, (x + l) * (x + l)},
-        {&w->by_inputs, (x + l) * r},
+        {&w->wrt_state, (x + l) * (x + l)},
+        {&w->wrt_inputs, (x + l) * r},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
-/* The Jacobians of the residual by parameters or inputs, of which the rows of constraints come from their variation. */
-static inline void fb_residual_by(const fb_jacobians *b, fb_jacobian_work *w, const int variables, const double t,
-                                  double *result)
+/* The Jacobians of the residual with respect to parameters or inputs; the rows of constraints are JVPs. */
+static inline void fb_residual_partials(const fb_jacobians *b, fb_jacobian_work *w, const int variables, const double t,
+                                        double *result)
 {
     const fb_kernel *const k = b->kernel;
     const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n_c = k->n_c, n_l = k->n_l;
-    const int m = variables == FB_BY_PARAMETERS ? k->n_p : k->n_r;
-    const int first = n_x + (variables == FB_BY_PARAMETERS ? 0 : k->n_p);
+    const int m = variables == FB_WRT_PARAMETERS ? k->n_p : k->n_r;
+    const int first = n_x + (variables == FB_WRT_PARAMETERS ? 0 : k->n_p);
     double *const of_coordinates = w->partial, *const of_residual = w->partial + n_q * m;
-    const enum FB_ROLE role = variables == FB_BY_PARAMETERS ? FB_PARAMETER_PARTIALS : FB_INPUT_PARTIALS;
+    const enum FB_ROLE role = variables == FB_WRT_PARAMETERS ? FB_PARAMETER_PARTIALS : FB_INPUT_PARTIALS;
     double *const partials[] = {of_coordinates, of_residual};
     fb_call_at(k, w, role, t, w->rates + n_q, w->x + n_x, NULL, partials);
     for (int j = 0; j < n_q * m; ++j)
@@ -180,17 +181,17 @@ static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb
     const int n_p = k->n_p, n = s->n_y;
     if (b->residual)
         fb_implicit_form(s, t, w->x, w->rates, b->residual + i * n);
-    if (b->by_state || b->by_rate)
-        fb_implicit_derivative(s, t, w->x, w->rates, b->by_state ? b->by_state + i * n * n : w->by_state);
-    if (b->by_rate)
-        fb_implicit_add_rates(s, 1.0, b->by_rate + i * n * n);
-    if (b->by_parameters)
-        fb_residual_by(b, w, FB_BY_PARAMETERS, t, b->by_parameters + i * n * n_p);
-    double *const by_inputs = b->by_inputs ? b->by_inputs + i * n * k->n_r : w->by_inputs;
-    if (k->n_r > 0 && (b->by_inputs || b->by_parameters))
-        fb_residual_by(b, w, FB_BY_INPUTS, t, by_inputs);
-    if (k->n_r > 0 && b->by_parameters && fb_input_changes(b, w, t))
-        fb_add_through_inputs(k, n, by_inputs, w->input_jacobian, b->by_parameters + i * n * n_p);
+    if (b->wrt_state || b->wrt_rate)
+        fb_implicit_derivative(s, t, w->x, w->rates, b->wrt_state ? b->wrt_state + i * n * n : w->wrt_state);
+    if (b->wrt_rate)
+        fb_implicit_add_rates(s, 1.0, b->wrt_rate + i * n * n);
+    if (b->wrt_parameters)
+        fb_residual_partials(b, w, FB_WRT_PARAMETERS, t, b->wrt_parameters + i * n * n_p);
+    double *const wrt_inputs = b->wrt_inputs ? b->wrt_inputs + i * n * k->n_r : w->wrt_inputs;
+    if (k->n_r > 0 && (b->wrt_inputs || b->wrt_parameters))
+        fb_residual_partials(b, w, FB_WRT_INPUTS, t, wrt_inputs);
+    if (k->n_r > 0 && b->wrt_parameters && fb_input_changes(b, w, t))
+        fb_add_through_inputs(k, n, wrt_inputs, w->input_jacobian, b->wrt_parameters + i * n * n_p);
 }
 
 /* The states from begin to end; returns 0, or -1 without memory. Other threads may evaluate others. */

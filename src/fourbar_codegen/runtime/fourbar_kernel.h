@@ -96,7 +96,7 @@ typedef struct fb_kernel {
     int n_l;                  /* multipliers: n_c, then unknown forces that drive the motion */
     int n_i;                  /* invariants: position constraints that no speed changes, such as norms of quaternions */
     int n_o;                  /* outputs */
-    int n_breakpoints;        /* times at which expressions have a jump or a kink */
+    int n_breakpoints;        /* times at which expressions of time may have a jump or a kink */
     int n_points;             /* drawn points */
     int n_forces;             /* drawn points on which forces of inputs act */
     int n_constants;
@@ -163,7 +163,7 @@ typedef struct fb_kernel {
     const fb_function *functions;              /* FB_N_ROLES */
     const fb_part *derivatives;                /* or NULL, if they are in a library of their own; ... */
     const fb_part *products;                   /* ... likewise */
-    const fb_batch_functions *batch_functions; /* the same for several states side by side, or NULL */
+    const fb_batch_functions *batch_functions; /* the same for batches of states, or NULL */
     int batch_functions_apart;                 /* whether they are in a library of their own */
     int one_machine;                /* whether it was compiled for the processor of one machine; else it is portable */
     int instructions;               /* an FB_INSTRUCTION_SET */
@@ -202,15 +202,16 @@ typedef struct fb_library {
     const char *const *structure; /* of the manifest, lines of JSON, ended by NULL */
 } fb_library;
 
-/* Adds to derivatives by the parameters, (rows, n_p), those through the inputs' expressions, by their dr/dp. */
-static inline void fb_add_through_inputs(const fb_kernel *k, const int rows, const double *by_inputs,
-                                         const double *input_jacobian, double *by_parameters)
+/* Adds to derivatives with respect to the parameters, (rows, n_p), those through the inputs' expressions, by their
+ * dr/dp. */
+static inline void fb_add_through_inputs(const fb_kernel *k, const int rows, const double *wrt_inputs,
+                                         const double *input_jacobian, double *wrt_parameters)
 {
     for (int l = 0; l < k->n_r; ++l)
         for (int j = 0; j < k->n_p; ++j)
-            if (input_jacobian[l * k->n_p + j] != 0.0) /* the derivative by other inputs may be infinite */
+            if (input_jacobian[l * k->n_p + j] != 0.0) /* the derivative with respect to other inputs may be infinite */
                 for (int i = 0; i < rows; ++i)
-                    by_parameters[i * k->n_p + j] += by_inputs[i * k->n_r + l] * input_jacobian[l * k->n_p + j];
+                    wrt_parameters[i * k->n_p + j] += wrt_inputs[i * k->n_r + l] * input_jacobian[l * k->n_p + j];
 }
 
 #endif

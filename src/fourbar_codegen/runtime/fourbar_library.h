@@ -2,9 +2,9 @@
  *
  * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the structure
  * that its header declares (FB_WITHOUT_HEADER declares it here); N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and
- * N_JUMPS; and initial_state, default_parameters, has_expression and prescribes. Public names begin with that of the
- * model. Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a copy of it is a copy
- * of the mechanism in its present state. Every loop ends after a constant number of turns.
+ * N_MOTION_BREAKPOINTS; and initial_state, default_parameters, has_expression and is_prescribed. Public names begin
+ * with that of the model. Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a
+ * copy of it is a copy of the mechanism in its present state. Every loop ends after a constant number of turns.
  */
 #ifndef FOURBAR_LIBRARY_H
 #define FOURBAR_LIBRARY_H
@@ -17,7 +17,7 @@
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
 
 /* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
- * number of their jumps and kinks in time, and next_change, the next of these times between two others, or the second
+ * number of their breakpoints, and next_change, the next of these times between two others, or the second
  * one. */
 #ifndef FB_CHANGES
 #define FB_CHANGES 0
@@ -287,7 +287,7 @@ static int jumps_at(const fb_problem *problem, const double t)
         int held = 0;
         for (int k = 0; k < problem->n_sources; ++k)
             held |= problem->sources[k].input == i;
-        if (prescribes[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
+        if (is_prescribed[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
             return 1;
     }
     return 0;
@@ -298,14 +298,14 @@ static int jumps_between(const fb_problem *problem, const double begin, const do
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
     breakpoints(0.0, problem->constants, times);
-    for (int i = 0; i < N_JUMPS; ++i)
+    for (int i = 0; i < N_MOTION_BREAKPOINTS; ++i)
         if (times[i] >= fb_min(begin, end) && times[i] <= fb_max(begin, end) && times[i] != begin &&
             jumps_at(problem, times[i]))
             return 1;
     return 0;
 }
 
-/* The next time between two others at which expressions have a jump or a kink, or the second one. */
+/* The next breakpoint between two times, or the second time. */
 static double next_breakpoint(const fb_problem *problem, const double begin, const double end)
 {
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)], next = end;
@@ -333,7 +333,7 @@ int FB_PUBLIC(jumps)(struct FB_MODEL *model)
     const double spacing = 4.0 * (nextafter(fabs(model->t), INFINITY) - fabs(model->t));
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
     breakpoints(0.0, problem->constants, times);
-    for (int i = 0; i < N_JUMPS; ++i)
+    for (int i = 0; i < N_MOTION_BREAKPOINTS; ++i)
         if (fabs(times[i] - model->t) <= spacing && jumps_at(problem, times[i]))
             return 1;
     return 0;
@@ -371,7 +371,7 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     fb_run *const run = run_of(model, order == 8 ? 8 : 4);
     if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
         return FB_INVALID_ARGUMENT;
-    if (N_JUMPS > 0 && jumps_between(run->problem, model->t, model->t + h))
+    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->problem, model->t, model->t + h))
         return FB_SPEEDS_JUMP;
     const double t_end = model->t + h;
     int status = FB_OK;
@@ -407,7 +407,7 @@ static int passes_singular_position(fb_run *run, const double typical)
         }
         least = smallest < least ? smallest : least;
     }
-    return least < FB_PASSED * typical;
+    return least < FB_PASSED_RATIO * typical;
 }
 
 static double least_pivot_of(const fb_run *run)
@@ -433,7 +433,7 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
         if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
             (i > 0 && (times[i] - times[i - 1]) * (t_end - begin) < 0.0))
             return FB_INVALID_ARGUMENT;
-    if (N_JUMPS > 0 && jumps_between(run->problem, begin, t_end))
+    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->problem, begin, t_end))
         return FB_SPEEDS_JUMP;
     for (int i = 0; i < N_PADDED; ++i) {
         own->rtol[i] = i < N_X ? rtol : 1.0;
@@ -482,18 +482,18 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
                 run->n_samples = 0;
                 continue;
             }
-            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && run->n_steps < FB_RUN_STEPS)
+            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && run->n_steps < FB_MAX_RUN_STEPS)
                 continue;
             if (run->pending) { /* to where the last samples were taken */
                 memcpy(run->x, run->x_old, sizeof model->x);
                 run->t = run->t_old;
             }
             reach(model, run, run->t);
-            if (least_pivot_of(run) < FB_NEARBY * typical)
+            if (least_pivot_of(run) < FB_FAILED_RATIO * typical)
                 return FB_SINGULAR_POSITION;
-            return run->problem->status != FB_OK  ? run->problem->status
-                   : run->n_steps >= FB_RUN_STEPS ? FB_TOO_MANY_STEPS
-                                                  : FB_STEP_TOO_SMALL;
+            return run->problem->status != FB_OK      ? run->problem->status
+                   : run->n_steps >= FB_MAX_RUN_STEPS ? FB_TOO_MANY_STEPS
+                                                      : FB_STEP_TOO_SMALL;
         }
         here = until;
         if (until == t_end)
@@ -516,7 +516,7 @@ int FB_PUBLIC(differentiate)(struct FB_MODEL *model, const fb_part *derivatives,
 /* By the parameters, also through the expressions of inputs that are not held. */
 int FB_PUBLIC(differentiate_by_parameters)(struct FB_MODEL *model, const fb_part *derivatives, double *matrix)
 {
-    double by_inputs[FB_AT_LEAST_1(N_X * N_R)], input_jacobian[FB_AT_LEAST_1(N_R * N_P)];
+    double wrt_inputs[FB_AT_LEAST_1(N_X * N_R)], input_jacobian[FB_AT_LEAST_1(N_R * N_P)];
     int follows = 0;
     int status = FB_PUBLIC(differentiate)(model, derivatives, FB_PARAMETER_PARTIALS, N_P, matrix);
     if (status != FB_OK)
@@ -531,10 +531,10 @@ int FB_PUBLIC(differentiate_by_parameters)(struct FB_MODEL *model, const fb_part
     }
     if (!follows)
         return FB_OK;
-    status = FB_PUBLIC(differentiate)(model, derivatives, FB_INPUT_PARTIALS, N_R, by_inputs);
+    status = FB_PUBLIC(differentiate)(model, derivatives, FB_INPUT_PARTIALS, N_R, wrt_inputs);
     if (status != FB_OK)
         return status;
-    fb_add_through_inputs(problem->kernel, N_X, by_inputs, input_jacobian, matrix);
+    fb_add_through_inputs(problem->kernel, N_X, wrt_inputs, input_jacobian, matrix);
     return all_finite(matrix, N_X * N_P);
 }
 

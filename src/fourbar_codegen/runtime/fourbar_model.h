@@ -63,7 +63,7 @@ typedef struct fb_work {
 
 /* Factors of a state with a smaller violation serve for the tangent of the closed one: what they leave of a direction's
  * violation is this fraction of it. */
-#define FB_SLIGHT 1e-9
+#define FB_SLIGHT_DRIFT_RTOL 1e-9
 
 #if defined(FB_RECURSIVE)
 /* M instead of its factors. */
@@ -96,14 +96,14 @@ static inline int factor_at(double t, const double *x, const double *constants, 
 #endif
     const int status = fb_factor(w->mass_matrix, w->constraint_jacobian, w->forcing, &w->factors);
 #if !defined(FB_SPARSE) && !defined(FB_RECURSIVE)
-    if (N_RANK < N_C && status == FB_OK && w->factors.left > FB_REDUNDANT) {
+    if (N_RANK < N_C && status == FB_OK && w->factors.left > FB_REDUNDANCY_RTOL) {
         double positions[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], scale[FB_AT_LEAST_1(N_H)];
         double unused[2][FB_AT_LEAST_1(N_C + N_I)];
         position(t, x, constants, r, positions, slopes);
         constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
         /* The effect of a violation on rows grows by the division by pivots. */
         const double inverse = N_RANK > 0 ? fabs(w->factors.inverse[FB_AT_LEAST_1(N_RANK) - 1]) : 1.0;
-        if (!(w->factors.left <= FB_REDUNDANT + FB_OPENED * inverse * fb_violation(positions, scale, N_H)))
+        if (!(w->factors.left <= FB_REDUNDANCY_RTOL + FB_OPEN_RATIO * inverse * fb_violation(positions, scale, N_H)))
             return FB_CONSTRAINTS_INDEPENDENT;
     }
 #else
@@ -281,7 +281,7 @@ static int project(double t, double *x, const double *constants, const double *r
                 w->drift = size;
             /* The first correction of the positions may increase the violation of velocities. */
             const int stagnates = i > 1 && !(size < 0.5 * last);
-            if (size <= FB_CLOSED || (size <= FB_NEARLY_CLOSED && stagnates))
+            if (size <= FB_CLOSURE_RTOL || (size <= FB_LOOSE_CLOSURE_RTOL && stagnates))
                 return status == FB_NOT_FINITE ? status : FB_OK;
             /* Tested after the violations, since closed states at singular positions are accepted. */
             if (status != FB_OK)
@@ -315,7 +315,7 @@ static int toggled(void *work)
         if (columns == NULL)
             return 1;
         const double now = fb_signed_pivot(w->constraint_jacobian, &w->units, columns);
-        result = fabs(now) < FB_CLOSE_BY * w->largest_pivot &&
+        result = fabs(now) < FB_NEAR_SINGULAR_RATIO * w->largest_pivot &&
                  fb_is_close_by(w->constraint_jacobian, &w->units, w->largest_pivot);
         if (w->largest_pivot > 0.0) {
             /* It is known if both have the static pivot order. */
@@ -515,7 +515,7 @@ static int projection_jvp(const fb_function *functions, double t, const double *
     const double *const given[] = {directions};
     if (N_C + N_I == 0)
         return FB_OK;
-    if (!(last == FB_LAST_RHS || (last == FB_LAST_PROJECT && w->drift <= FB_SLIGHT))) {
+    if (!(last == FB_LAST_RHS || (last == FB_LAST_PROJECT && w->drift <= FB_SLIGHT_DRIFT_RTOL))) {
         dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                  w->acceleration_bias);
         const int status = factor_at(t, x, constants, r, w);
@@ -578,7 +578,7 @@ static int vjp(const fb_function *functions, double t, const double *x, const do
     if (!fb_evaluate_forces(t, x, constants, r, w->multipliers + N_C, s))
         return FB_NOT_FINITE;
     fb_form_response(w->mass_matrix, &w->factors, s);
-    const int found = fb_pull_back_forces(s, of_accelerations, of_multipliers, of_residual + N_U + N_C);
+    const int found = fb_forces_vjp(s, of_accelerations, of_multipliers, of_residual + N_U + N_C);
     if (found != FB_OK)
         return found;
 #endif
@@ -620,7 +620,7 @@ static int projection_vjp(const fb_function *functions, double t, const double *
     functions[FB_CONSTRAINT_VJP].call(&at, of_violations, result, work);
     for (int i = 0; i < N_X + N_P + N_R; ++i)
         gradient[i] += w->gradient[i];
-    /* the coordinates: q' = K u + k, so K^T is in the derivatives of q' by u */
+    /* the coordinates: q' = K u + k, so K^T is in the derivatives of q' with respect to u */
     for (int i = 0; i < N_Q; ++i)
         of_dynamics[i] = gradient[i];
     functions[FB_RESIDUAL_VJP].call(&at, of_residual, result, work);

@@ -1,10 +1,10 @@
-/* The part of fourbar_recursive.h after W = M^-1 J^T is known, common to single states and states side by side:
+/* The part of fourbar_recursive.h after W = M^-1 J^T is known, common to single states and lanes:
  * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
  * FB_RESPONSE(s, j, i) is an entry of W. FB_REQUIRE(s, condition) handles values that do not satisfy a condition.
  */
 
 /* Smallest pivot of A relative to its diagonal for which its factors are used. */
-#define FB_WELL_CONDITIONED 1e-7
+#define FB_CONDITION_RATIO 1e-7
 
 #ifdef FB_REQUIRE
 /* A = L D L^T, in place. The factors count only if A is well-conditioned. */
@@ -14,7 +14,7 @@ static FB_INLINE int FB_OF(fb_factor_normal)(FB_FACTORS *restrict s)
     for (int i = 0; i < N_C; ++i)
         size[i] = s->normal[i][i];
     for (int k = 0; k < N_C; ++k) {
-        FB_REQUIRE(s, s->normal[k][k] > FB_WELL_CONDITIONED * size[k]);
+        FB_REQUIRE(s, s->normal[k][k] > FB_CONDITION_RATIO * size[k]);
         s->normal[k][k] = 1.0 / s->normal[k][k];
         for (int i = N_C - 1; i > k; --i) {
             const FB_VALUE factor = s->normal[i][k] * s->normal[k][k];
@@ -58,7 +58,7 @@ static FB_INLINE void FB_OF(fb_constrain)(const FB_VALUE *restrict acceleration_
     }
 }
 
-#undef FB_WELL_CONDITIONED
+#undef FB_CONDITION_RATIO
 #undef FB_VALUE
 #undef FB_FACTORS
 #undef FB_OF

@@ -10,7 +10,7 @@
  * it. If the factorization fails, the constraints are dependent at this state. With FB_EARLY, constraints come before
  * some of their speeds; if it fails, they are dependent, or have small pivots, without these speeds.
  *
- * Common to single states and states side by side: FB_VALUE is a double or a vector of them, FB_FACTORS the type of the
+ * Common to single states and lanes: FB_VALUE is a double or a vector of them, FB_FACTORS the type of the
  * factors, FB_OF(name) the name of a function. FB_REQUIRE(s, condition, status), defined before inclusion, handles
  * values that do not satisfy a condition, FB_SELECT(condition, yes, no) is one of two values, FB_ABS(value) the
  * absolute one.
@@ -24,12 +24,10 @@
  *                                 places of M, J, the products of J^T w J, and of what a step subtracts
  */
 
-/* Rows of J below this fraction of the largest are rounding errors. */
-#define FB_ROW_TOLERANCE 2e-13
 /* Pivots below this fraction of the terms subtracted from them are rounding errors. */
-#define FB_PIVOT_TOLERANCE 1e-13
+#define FB_PIVOT_RATIO 1e-13
 /* Smallest pivot of an early constraint, relative to what it is of with all its speeds: an error of 1e-12 at worst. */
-#define FB_EARLY_TOLERANCE 1e-4
+#define FB_EARLY_PIVOT_RATIO 1e-4
 
 /* The weights, which give both terms of M + J^T w J similar size; no row may be only rounding errors. */
 static FB_INLINE int FB_OF(fb_weigh)(const FB_VALUE *restrict diagonal, FB_FACTORS *restrict s)
@@ -45,7 +43,7 @@ static FB_INLINE int FB_OF(fb_weigh)(const FB_VALUE *restrict diagonal, FB_FACTO
         FB_VALUE mass = {0.0};
         for (int i = jacobian_row[row]; i < jacobian_row[row + 1]; ++i)
             mass += diagonal[jacobian_column[i]];
-        FB_REQUIRE(s, size[row] > FB_ROW_TOLERANCE * FB_ROW_TOLERANCE * largest, FB_CONSTRAINTS_DEPENDENT);
+        FB_REQUIRE(s, size[row] > FB_ROW_RTOL * FB_ROW_RTOL * largest, FB_CONSTRAINTS_DEPENDENT);
         s->weight[row] = FB_SELECT(mass > 0.0, mass, (FB_VALUE){0.0} + 1.0) / size[row];
     }
     return FB_OK;
@@ -82,11 +80,10 @@ static FB_INLINE int FB_OF(fb_factor_ordered)(const FB_VALUE *restrict mass_matr
         size[k] = FB_ABS(entries[k]);
     for (int k = 0, next = 0; k < N_STEPS; ++k) {
         const FB_VALUE pivot = unknown[k] < N_U ? entries[k] : -entries[k];
-        FB_REQUIRE(s, pivot > FB_PIVOT_TOLERANCE * size[k],
-                   unknown[k] < N_U ? FB_MASS_SINGULAR : FB_CONSTRAINTS_DEPENDENT);
+        FB_REQUIRE(s, pivot > FB_PIVOT_RATIO * size[k], unknown[k] < N_U ? FB_MASS_SINGULAR : FB_CONSTRAINTS_DEPENDENT);
 #ifdef FB_EARLY
         if (unknown[k] >= N_U) {
-            FB_REQUIRE(s, pivot * s->weight[unknown[k] - N_U] > FB_EARLY_TOLERANCE, FB_CONSTRAINTS_DEPENDENT);
+            FB_REQUIRE(s, pivot * s->weight[unknown[k] - N_U] > FB_EARLY_PIVOT_RATIO, FB_CONSTRAINTS_DEPENDENT);
         }
 #endif
         const FB_VALUE inverse = entries[k] = 1.0 / entries[k];
@@ -138,9 +135,9 @@ static FB_INLINE void FB_OF(fb_solve_ordered)(const FB_VALUE *restrict forcing,
             accelerations[unknown[k]] = y[k];
 }
 
-#undef FB_ROW_TOLERANCE
-#undef FB_PIVOT_TOLERANCE
-#undef FB_EARLY_TOLERANCE
+#undef FB_ROW_RTOL
+#undef FB_PIVOT_RATIO
+#undef FB_EARLY_PIVOT_RATIO
 #undef FB_VALUE
 #undef FB_FACTORS
 #undef FB_OF

@@ -10,7 +10,7 @@
 #define FB_WITHOUT_HEADER
 #define FB_CALLED_INPUTS signal_inputs
 #define FB_CHANGES most_changes()
-#define FB_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
+#define FB_MAX_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
 #define FB_EXPORT(name) __attribute__((export_name(#name))) name
 
 #include "fourbar_close.h"

@@ -1,4 +1,4 @@
-/* The type of values in the equations of motion: fb_real is double, or, in a source that defines FB_SIDE_BY_SIDE, a
+/* The type of values in the equations of motion: fb_real is double, or, in a source that defines FB_LANES, a
  * vector of FB_WIDTH doubles, as many as a SIMD register holds, with a state in each lane.
  */
 #ifndef FOURBAR_REAL_H
@@ -40,64 +40,64 @@ typedef char fb_constants_are_of_type_double[sizeof(1.0) == sizeof(double) ? 1 :
 #define FB_FLATTEN
 #endif
 
-#ifndef FB_SIDE_BY_SIDE
+#ifndef FB_LANES
 
 typedef double fb_real;
 
-/* Several right-hand sides of the equations of one state. */
+/* A SIMD vector with a right-hand side of the equations of one state in each lane. */
 #if defined(__AVX512F__)
 #include <immintrin.h>
-#define FB_MANY 8
+#define FB_SIMD_WIDTH 8
 #elif defined(__AVX__)
-#define FB_MANY 4
+#define FB_SIMD_WIDTH 4
 #elif defined(__GNUC__)
-#define FB_MANY 2
+#define FB_SIMD_WIDTH 2
 #else
-#define FB_MANY 1
+#define FB_SIMD_WIDTH 1
 #endif
-#if FB_MANY > 1
-typedef double fb_many __attribute__((vector_size(FB_MANY * sizeof(double))));
+#if FB_SIMD_WIDTH > 1
+typedef double fb_simd __attribute__((vector_size(FB_SIMD_WIDTH * sizeof(double))));
 #define fb_lane(value, lane) (value)[lane]
 #else
-typedef double fb_many;
+typedef double fb_simd;
 #define fb_lane(value, lane) (*((void)(lane), &(value)))
 #endif
 
-static FB_INLINE fb_many fb_all(const double value)
+static FB_INLINE fb_simd fb_all(const double value)
 {
-    return value + (fb_many){0.0};
+    return value + (fb_simd){0.0};
 }
 
-static FB_INLINE fb_many fb_load_many(const double *from)
+static FB_INLINE fb_simd fb_load_simd(const double *from)
 {
-    fb_many value;
+    fb_simd value;
     memcpy(&value, from, sizeof value);
     return value;
 }
 
-static FB_INLINE void fb_store_many(const fb_many value, double *to)
+static FB_INLINE void fb_store_simd(const fb_simd value, double *to)
 {
     memcpy(to, &value, sizeof value);
 }
 
 /* The same for the first `count` lanes; the others are 0. Half of a register needs no mask, which takes longer. */
-static FB_INLINE fb_many fb_load_some(const double *from, const int count)
+static FB_INLINE fb_simd fb_load_some(const double *from, const int count)
 {
-#if FB_MANY == 8
+#if FB_SIMD_WIDTH == 8
     if (count == 4)
-        return (fb_many)_mm512_zextpd256_pd512(_mm256_loadu_pd(from));
-    return (fb_many)_mm512_maskz_loadu_pd((__mmask8)((1 << count) - 1), from);
+        return (fb_simd)_mm512_zextpd256_pd512(_mm256_loadu_pd(from));
+    return (fb_simd)_mm512_maskz_loadu_pd((__mmask8)((1 << count) - 1), from);
 #else
-    fb_many value = fb_all(0.0);
+    fb_simd value = fb_all(0.0);
     for (int lane = 0; lane < count; ++lane)
         fb_lane(value, lane) = from[lane];
     return value;
 #endif
 }
 
-static FB_INLINE void fb_store_some(const fb_many value, const int count, double *to)
+static FB_INLINE void fb_store_some(const fb_simd value, const int count, double *to)
 {
-#if FB_MANY == 8
+#if FB_SIMD_WIDTH == 8
     if (count == 4)
         _mm256_storeu_pd(to, _mm512_castpd512_pd256((__m512d)value));
     else

@@ -1,8 +1,8 @@
 /* Solves M u' = f + J^T lambda, J u' + gamma = 0 with products of M and M^-1 instead of M.
  *
  * The generated functions mass_solve and mass_product evaluate M^-1 v and M v by recursion over the bodies, with
- * factors that `dynamics` returns: N_U pivots, then what both functions take. mass_solve_many and mass_product do so
- * for FB_MANY vectors at once. With W = M^-1 J^T and A = J W,
+ * factors that `dynamics` returns: N_U pivots, then what both functions take. mass_solve_simd and mass_product do so
+ * for FB_SIMD_WIDTH vectors, one in each lane. With W = M^-1 J^T and A = J W,
  *
  *     lambda = -A^-1 (J M^-1 f + gamma),     u' = M^-1 f + W lambda,
  *
@@ -39,7 +39,7 @@
 #undef fb_is_static
 
 /* Right-hand sides, those of the constraints and then f, in the lanes of vectors. */
-enum { N_GROUPS = (N_C + FB_MANY) / FB_MANY, N_LANES = N_GROUPS * FB_MANY };
+enum { N_GROUPS = (N_C + FB_SIMD_WIDTH) / FB_SIMD_WIDTH, N_LANES = N_GROUPS * FB_SIMD_WIDTH };
 
 typedef struct fb_factors {
     const double *constants, *mass, *jacobian;  /* of the state */
@@ -58,22 +58,22 @@ typedef struct fb_factors {
     return 0
 #include "fourbar_normal.h"
 
-#if FB_MANY > 1
-#define FB_VALUE fb_many /* right-hand sides */
+#if FB_SIMD_WIDTH > 1
+#define FB_VALUE fb_simd /* right-hand sides */
 #define FB_FACTORS fb_factors
-#define FB_OF(name) name##_many
+#define FB_OF(name) name##_simd
 #include "fourbar_normal.h"
 #else
-#define fb_constrain_many fb_constrain
+#define fb_constrain_simd fb_constrain
 #endif
 
-/* M, several columns at once. */
+/* M, with a column in each lane. */
 static FB_CALLED void fb_form_mass(const double *restrict constants, const double *restrict mass,
                                    double *restrict mass_matrix)
 {
-    for (int begin = 0; begin < N_U; begin += FB_MANY) {
-        const int count = N_U - begin < FB_MANY ? N_U - begin : FB_MANY;
-        fb_many speeds[N_U], product[N_U];
+    for (int begin = 0; begin < N_U; begin += FB_SIMD_WIDTH) {
+        const int count = N_U - begin < FB_SIMD_WIDTH ? N_U - begin : FB_SIMD_WIDTH;
+        fb_simd speeds[N_U], product[N_U];
         for (int j = 0; j < N_U; ++j)
             speeds[j] = fb_all(0.0);
         for (int lane = 0; lane < count; ++lane)
@@ -83,13 +83,13 @@ static FB_CALLED void fb_form_mass(const double *restrict constants, const doubl
     }
 }
 
-/* Whether the pivots of M are larger than rounding errors of its diagonal, FB_RANK_TOLERANCE. */
+/* Whether the pivots of M are larger than rounding errors of its diagonal, FB_ROW_RTOL. */
 static FB_CALLED int fb_is_regular(const double *restrict constants, const double *restrict mass)
 {
     double mass_matrix[N_U * N_U];
     fb_form_mass(constants, mass + N_U, mass_matrix);
     for (int i = 0; i < N_U; ++i)
-        if (!(mass[i] > FB_RANK_TOLERANCE * mass_matrix[i * N_U + i]))
+        if (!(mass[i] > FB_ROW_RTOL * mass_matrix[i * N_U + i]))
             return 0;
     return 1;
 }
@@ -97,31 +97,31 @@ static FB_CALLED int fb_is_regular(const double *restrict constants, const doubl
 /* W, M^-1 f and A. */
 static FB_CALLED void fb_form_normal(const double *restrict forcing, fb_factors *restrict s)
 {
-    fb_many unit[FB_MANY];
-    for (int lane = 0; lane < FB_MANY; ++lane) {
+    fb_simd unit[FB_SIMD_WIDTH];
+    for (int lane = 0; lane < FB_SIMD_WIDTH; ++lane) {
         unit[lane] = fb_all(0.0);
         fb_lane(unit[lane], lane) = 1.0;
     }
     for (int group = 0; group < N_GROUPS; ++group) {
-        fb_many side[N_U], solution[N_U];
-        const int begin = group * FB_MANY, last = group == N_GROUPS - 1, n = last ? N_C - begin : FB_MANY;
+        fb_simd side[N_U], solution[N_U];
+        const int begin = group * FB_SIMD_WIDTH, last = group == N_GROUPS - 1, n = last ? N_C - begin : FB_SIMD_WIDTH;
         /* Multiples of unit vectors: a load of what has just been stored in pieces would wait. */
         for (int j = 0; j < N_U; ++j)
             side[j] = last * forcing[j] * unit[last * n];
         for (int lane = 0; lane < n; ++lane)
             for (int j = 0; j < N_U; ++j)
                 side[j] += s->jacobian[(begin + lane) * N_U + j] * unit[lane];
-        mass_solve_many(s->constants, s->mass + N_U, side, solution);
+        mass_solve_simd(s->constants, s->mass + N_U, side, solution);
         for (int j = 0; j < N_U; ++j)
-            fb_store_many(solution[j], s->response + j * N_LANES + begin);
+            fb_store_simd(solution[j], s->response + j * N_LANES + begin);
     }
     for (int i = 0; i < N_C; ++i)
-        for (int begin = 0; begin <= i; begin += FB_MANY) {
-            fb_many sum = s->jacobian[i * N_U] * fb_load_many(s->response + begin);
+        for (int begin = 0; begin <= i; begin += FB_SIMD_WIDTH) {
+            fb_simd sum = s->jacobian[i * N_U] * fb_load_simd(s->response + begin);
             for (int j = 1; j < N_U; ++j)
                 if (s->jacobian[i * N_U + j] != 0.0) /* a loop of a large tree moves few bodies */
-                    sum += s->jacobian[i * N_U + j] * fb_load_many(s->response + j * N_LANES + begin);
-            fb_store_many(sum, s->normal[i] + begin);
+                    sum += s->jacobian[i * N_U + j] * fb_load_simd(s->response + j * N_LANES + begin);
+            fb_store_simd(sum, s->normal[i] + begin);
         }
 }
 
@@ -138,7 +138,8 @@ static inline int fb_factor(const double *restrict mass, const double *restrict 
         smallest = mass[i] < smallest ? mass[i] : smallest;
         largest = fb_max(mass[i], largest);
     }
-    const int is_positive = smallest > FB_SUSPICIOUS * largest || (smallest > 0.0 && fb_is_regular(s->constants, mass));
+    const int is_positive =
+        smallest > FB_SUSPICIOUS_PIVOT_RATIO * largest || (smallest > 0.0 && fb_is_regular(s->constants, mass));
     if (N_C == 0)
         return is_positive ? FB_OK : FB_MASS_SINGULAR;
     if (all_finite(jacobian, N_JACOBIAN) != FB_OK)
@@ -194,13 +195,13 @@ static inline int fb_solve_first(const double *restrict forcing, const double *r
 static FB_CALLED void fb_solve_columns(const double *restrict sides, const int n, const fb_factors *restrict s,
                                        double *restrict accelerations)
 {
-    for (int begin = 0; begin < n; begin += FB_MANY) {
-        fb_many side[N_U + N_C], solution[N_U];
+    for (int begin = 0; begin < n; begin += FB_SIMD_WIDTH) {
+        fb_simd side[N_U + N_C], solution[N_U];
         fb_load_columns(sides, N_U + N_C, n, begin, side);
-        mass_solve_many(s->constants, s->mass + N_U, side, solution);
+        mass_solve_simd(s->constants, s->mass + N_U, side, solution);
         for (int i = N_U; i < N_U + N_C; ++i)
             side[i] = -side[i];
-        fb_constrain_many(side + N_U, s, solution);
+        fb_constrain_simd(side + N_U, s, solution);
         fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }
@@ -211,7 +212,7 @@ static inline void fb_multipliers(const double *restrict mass, const double *res
                                   double *restrict multipliers)
 {
     double residual[N_U], left[N_U], v[FB_AT_LEAST_1(N_C)];
-    fb_many speeds[N_U], product[N_U];
+    fb_simd speeds[N_U], product[N_U];
     if (N_C == 0)
         return;
     for (int j = 0; j < N_U; ++j)

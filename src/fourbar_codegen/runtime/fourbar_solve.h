@@ -27,14 +27,12 @@ enum { N_MASS = N_U * N_U };
 #endif
 #endif
 
-/* Pivots of J below this fraction of the largest are rounding errors: 1000 times the precision of double. */
-#define FB_RANK_TOLERANCE 2e-13
 /* If the model has fewer dependent speeds than constraints, the others are redundant: after elimination, their rows of
  * the scaled J must vanish, and they must be satisfied, to this fraction of gamma and u', or of the terms of gamma,
  * which may cancel. They may be redundant only on the constraint manifold, from which a run drifts. */
-#define FB_DRIFT_TOLERANCE 1e-3
+#define FB_DRIFT_RTOL 1e-3
 /* The absolute tolerance for that, for rounding errors if gamma and u' are zero. */
-#define FB_NEARLY 1e-12
+#define FB_DRIFT_ATOL 1e-12
 
 /* Whether the static pivot order is tried first: with many constraints its code becomes long. */
 #if defined(FB_RECURSIVE) || defined(FB_SPARSE) /* which come here only where pivots are small */
@@ -42,23 +40,20 @@ enum { N_MASS = N_U * N_U };
 #else
 #define FB_TRY_STATIC (N_C > 0 && N_C <= 8 && N_RANK == N_C)
 #endif
-/* It is used if its pivots are at least this fraction of the largest entry in their row, ... */
-#define FB_STATIC_TOLERANCE 0.25
 /* A singular position is nearby if the smallest pivot is below this fraction of its largest value in a run. That is
  * smaller than where positions count as singular, and larger than the gap between two branches that meet there, since
  * rounding errors of closed loops separate the branches by the square root of their size. */
-#define FB_CLOSE_BY 1e-5
-/* ... and if no row is nearly dependent on others. */
-#define FB_NEAR_DEPENDENCE 1e-6
+#define FB_NEAR_SINGULAR_RATIO 1e-5
+/* The static pivot order is used if no row, after elimination, is below this fraction of its size before. */
+#define FB_NEAR_DEPENDENCE_RTOL 1e-6
 
-/* Bounds of the redundant rows of J after elimination: the first for closed loops; for open loops, plus the second
- * times their violation. */
-#define FB_REDUNDANT 1e-7
-#define FB_OPENED 1e4
+/* The bound of redundant rows of J after elimination is FB_REDUNDANCY_RTOL for closed loops; for open loops, this
+ * multiple of their violation is added. */
+#define FB_OPEN_RATIO 1e4
 
 /* Without a mass matrix, a pivot of M below this fraction of the largest one, which may have another unit, is compared
  * with M: if M is singular, rounding errors decide about the sign of its pivots. */
-#define FB_SUSPICIOUS 1e-9
+#define FB_SUSPICIOUS_PIVOT_RATIO 1e-9
 
 typedef struct fb_factors {
     double left;                              /* largest entry of the scaled J in redundant rows */
@@ -95,7 +90,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     }
     for (int i = 0; i < N_C; ++i) {
         /* A row of rounding errors must not be scaled up to look like a constraint. */
-        s->scale[i] = s->scale[i] > FB_RANK_TOLERANCE * largest ? 1.0 / s->scale[i] : 0.0;
+        s->scale[i] = s->scale[i] > FB_ROW_RTOL * largest ? 1.0 / s->scale[i] : 0.0;
         s->row[i] = i;
         for (int j = 0; j < N_U; ++j)
             s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
@@ -110,7 +105,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
                     pivot_row = i;
                     pivot_column = j;
                 }
-        if (!(pivot > FB_RANK_TOLERANCE))
+        if (!(pivot > FB_ROW_RTOL))
             return FB_CONSTRAINTS_DEPENDENT;
         if (pivot_row != k) {
             for (int j = 0; j < N_U; ++j)
@@ -129,7 +124,7 @@ static inline int fb_eliminate(const double *restrict jacobian, fb_factors *rest
     for (int i = N_RANK; i < N_C; ++i)
         for (int j = N_RANK; j < N_U; ++j)
             s->left = fb_max(s->left, fabs(s->lu[i][j]));
-    return s->left <= FB_DRIFT_TOLERANCE ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
+    return s->left <= FB_DRIFT_RTOL ? FB_OK : FB_CONSTRAINTS_INDEPENDENT;
 }
 
 /* With all indices known, compilers that unroll loops early keep values in registers, which saves a tenth to a sixth of
@@ -157,7 +152,7 @@ static inline int fb_eliminate_static(const double *restrict jacobian, fb_factor
     }
     FB_UNROLL
     for (int i = 0; i < N_C; ++i) {
-        if (!(size[i] > FB_NEAR_DEPENDENCE * largest))
+        if (!(size[i] > FB_NEAR_DEPENDENCE_RTOL * largest))
             return 0;
         s->scale[i] = 1.0;
         FB_UNROLL
@@ -166,11 +161,11 @@ static inline int fb_eliminate_static(const double *restrict jacobian, fb_factor
     }
     FB_UNROLL
     for (int k = 0; k < N_C; ++k) {
-        double pivot = FB_NEAR_DEPENDENCE * size[k];
+        double pivot = FB_NEAR_DEPENDENCE_RTOL * size[k];
         FB_UNROLL
         for (int j = k; j < N_U; ++j)
             pivot = fb_max(pivot, fabs(lu[k][j]));
-        if (!(fabs(lu[k][k]) > FB_STATIC_TOLERANCE * pivot))
+        if (!(fabs(lu[k][k]) > FB_STATIC_PIVOT_RATIO * pivot))
             return 0;
         fb_eliminate_below(lu, s->inverse, k);
     }
@@ -273,7 +268,7 @@ static inline int fb_is_close_by(const double *restrict jacobian, const fb_units
             scaled[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
         }
     return fb_eliminate(scaled, &factors) != FB_OK ||
-           fabs(fb_signed_pivot(jacobian, units, factors.column)) < FB_CLOSE_BY * largest;
+           fabs(fb_signed_pivot(jacobian, units, factors.column)) < FB_NEAR_SINGULAR_RATIO * largest;
 }
 
 /* The speeds that the factors take as dependent, first of all; and whether these are those of the static pivot order.
@@ -322,46 +317,46 @@ static inline int fb_solve(const double *restrict forcing, const double *restric
         size = fb_max(size, fabs(accelerations[i]));
     size = N_RANK < N_C ? fb_max(size, s->terms) : size;
     for (int i = N_RANK; i < N_C; ++i)
-        if (!(fabs(w[i]) <= FB_DRIFT_TOLERANCE * size + FB_NEARLY))
+        if (!(fabs(w[i]) <= FB_DRIFT_RTOL * size + FB_DRIFT_ATOL))
             return FB_CONSTRAINTS_DEPENDENT;
     return FB_OK;
 }
 
-#if !defined(FB_SIDE_BY_SIDE) && !defined(FB_LIBRARY)
+#if !defined(FB_LANES) && !defined(FB_LIBRARY)
 #include "fourbar_columns.h"
 #define FB_VALUE double
-#define FB_SIDE fb_many
+#define FB_SIDE fb_simd
 #define FB_FACTORS fb_factors
-#define FB_OF(name) name##_many
+#define FB_OF(name) name##_simd
 #include "fourbar_pivoted.h"
 
 /* u' for right-hand sides f, -gamma by a pivot order; redundant rows hold in every direction in which the state can
  * move. */
-static FB_INLINE void fb_solve_many(const fb_many *restrict forcing, const fb_many *restrict given,
-                                    const fb_factors *restrict s, fb_many *restrict solution, const int *rows,
+static FB_INLINE void fb_solve_simd(const fb_simd *restrict forcing, const fb_simd *restrict given,
+                                    const fb_factors *restrict s, fb_simd *restrict solution, const int *rows,
                                     const int *columns)
 {
-    fb_many w[FB_AT_LEAST_1(N_C)];
+    fb_simd w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
         w[i] = s->scale[i] * -given[rows[i]];
         for (int k = 0; k < i && k < N_RANK; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
-    fb_back_many(forcing, w, s, solution, columns);
+    fb_back_simd(forcing, w, s, solution, columns);
 }
 
 /* The same in n columns of matrices. */
 static FB_CALLED void fb_solve_directions(const int n, const double *restrict sides, const fb_factors *restrict s,
                                           double *restrict accelerations)
 {
-    for (int begin = 0; begin < n; begin += FB_MANY) {
-        fb_many forcing[N_U], given[FB_AT_LEAST_1(N_C)], solution[N_U];
+    for (int begin = 0; begin < n; begin += FB_SIMD_WIDTH) {
+        fb_simd forcing[N_U], given[FB_AT_LEAST_1(N_C)], solution[N_U];
         fb_load_columns(sides, N_U, n, begin, forcing);
         fb_load_columns(sides + N_U * n, N_C, n, begin, given);
         if (FB_TRY_STATIC && s->is_static)
-            fb_solve_many(forcing, given, s, solution, static_pivot_row, static_pivot_speed);
+            fb_solve_simd(forcing, given, s, solution, static_pivot_row, static_pivot_speed);
         else
-            fb_solve_many(forcing, given, s, solution, s->row, s->column);
+            fb_solve_simd(forcing, given, s, solution, s->row, s->column);
         fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }

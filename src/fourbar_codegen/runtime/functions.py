@@ -24,7 +24,7 @@ class Functions(Evaluator):
     """An `Evaluator` whose table of functions has methods: what they compute is in ``fourbar_enums.h``."""
 
     def breakpoints(self, p: Values | None = None) -> Floats:
-        """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
+        """The breakpoints, times at which expressions may not be smooth, shape (n_breakpoints,)."""
         return self.evaluate(Role.BREAKPOINTS, 0.0, None, p)[0]
 
     def default_inputs(self, t: float, p: Values | None = None) -> Floats:
@@ -87,13 +87,14 @@ class Functions(Evaluator):
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
-        by_coordinates, positions, velocities = self.evaluate(Role.CONSTRAINT_PARTIALS, t, x, p, r)
-        return by_coordinates, positions, velocities
+        wrt_coordinates, positions, velocities = self.evaluate(Role.CONSTRAINT_PARTIALS, t, x, p, r)
+        return wrt_coordinates, positions, velocities
 
     def constraint_vjp(
         self, t: float, x: ArrayLike, weights: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> Floats:
-        """The gradient by x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint violations.
+        """The gradient with respect to x, p and r, shape (n_x + n_p + n_r,), of weights times the constraint
+        violations.
 
         Weights have the shape (2 n_c + n_i,), for both results of `constraint_violation`. Inputs do not follow the
         parameters.
@@ -107,10 +108,10 @@ class Functions(Evaluator):
 
         See ``fourbar_forces.h``.
         """
-        effect, by_forces, rest, rest_by_forces, mass, jacobian = self.evaluate(
+        effect, wrt_forces, rest, rest_wrt_forces, mass, jacobian = self.evaluate(
             Role.UNKNOWN_FORCES, t, x, p, r, arguments=(forces,)
         )
-        return effect, by_forces, rest, rest_by_forces, mass, jacobian
+        return effect, wrt_forces, rest, rest_wrt_forces, mass, jacobian
 
     def energy(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """Kinetic and potential energy, shape (2,)."""
@@ -185,10 +186,10 @@ class Functions(Evaluator):
         r: Values | None = None,
     ) -> tuple[Floats, Floats]:
         """dz'/du', shape (n_z, n_u), and dz'/dlambda, shape (n_z, n_l), for given u' and lambda."""
-        by_accelerations, by_multipliers = self.evaluate(
+        wrt_accelerations, wrt_multipliers = self.evaluate(
             Role.STATE_RATE_PARTIALS, t, x, p, r, accelerations, multipliers
         )
-        return by_accelerations, by_multipliers
+        return wrt_accelerations, wrt_multipliers
 
     def partials(
         self,
@@ -222,10 +223,10 @@ class Functions(Evaluator):
             Role.OUTPUT_INPUT_PARTIALS,
             Role.OUTPUT_SOLUTION_PARTIALS,
         )
-        by_state, by_parameters, by_inputs, by_accelerations, by_multipliers = (
+        wrt_state, wrt_parameters, wrt_inputs, wrt_accelerations, wrt_multipliers = (
             part for role in roles for part in self.evaluate(role, t, x, p, r, accelerations, multipliers)
         )
-        return by_state, by_parameters, by_inputs, by_accelerations, by_multipliers
+        return wrt_state, wrt_parameters, wrt_inputs, wrt_accelerations, wrt_multipliers
 
     def along(
         self, times: ArrayLike, states: ArrayLike, inputs: ArrayLike, p: Values | None = None

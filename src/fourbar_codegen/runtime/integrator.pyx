@@ -23,13 +23,13 @@ cdef extern from "fourbar_augmented.h":
     ctypedef struct fb_augmented:
         long n_jacobians, n_factorizations
 
-cdef extern from "fourbar_jumps.h":
-    ctypedef struct fb_jump:
+cdef extern from "fourbar_velocity_jump.h":
+    ctypedef struct fb_velocity_jump:
         double t_before, t_after
         const int *rate
         double *before
         double *change
-    int fb_speed_jump(fb_problem *, fb_jump *, const double *, double *, double *) noexcept nogil
+    int fb_speed_jump(fb_problem *, fb_velocity_jump *, const double *, double *, double *) noexcept nogil
 
 cdef extern from "fourbar_forward.h":
     ctypedef struct fb_forward:
@@ -45,7 +45,7 @@ cdef extern from "fourbar_forward.h":
     int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
     int fb_forward_at(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_close(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
-    int fb_forward_jump(fb_run *, fb_jump *, const double *, double *) noexcept nogil
+    int fb_forward_jump(fb_run *, fb_velocity_jump *, const double *, double *) noexcept nogil
     int fb_forward_prepare_interpolant(fb_run *) noexcept nogil
     size_t fb_place_forward(fb_run *, int, fb_forward *, double *) noexcept nogil
 
@@ -70,8 +70,8 @@ cdef extern from "fourbar_integrate.h":
         int (*step)(fb_run *) noexcept nogil
         fb_augmented *augmented
         fb_forward *forward
-        int (*vary)(fb_run *, double, double *) noexcept nogil
-        int (*vary_sample)(fb_run *, double, const double *) noexcept nogil
+        int (*step_jvp)(fb_run *, double, double *) noexcept nogil
+        int (*sample_jvp)(fb_run *, double, const double *) noexcept nogil
         fb_steps *steps
         int n, padded
         double direction, t_bound, max_step
@@ -120,16 +120,16 @@ cdef extern from "fourbar_integrate.h":
 cdef extern from "fourbar_adjoint.h":
     ctypedef struct fb_adjoint:
         const double *rows
-        fb_jump jump
+        fb_velocity_jump jump
         const long *sample_row
         const double *sample_t
-        const double *by_states
-        const double *by_outputs
+        const double *wrt_states
+        const double *wrt_outputs
         const double *output_t
-        double *by_state
-        double *by_parameters
-        double **by_source
-    int fb_pull_back_step(fb_run *, fb_adjoint *, long, long *) noexcept nogil
+        double *wrt_state
+        double *wrt_parameters
+        double **wrt_source
+    int fb_step_vjp(fb_run *, fb_adjoint *, long, long *) noexcept nogil
     size_t fb_place_adjoint(const fb_run *, fb_adjoint *, double *) noexcept nogil
 
 
@@ -327,7 +327,7 @@ cdef class Ode:
         self.problem.clock = fb_clock(origin=origin, first=first, last=last)
 
     def breakpoints(self):
-        """The times at which expressions have a jump or a kink, shape (n_breakpoints,)."""
+        """The breakpoints, times at which expressions may not be smooth, shape (n_breakpoints,)."""
         cdef cnp.ndarray times = new_array(self.problem.kernel.n_breakpoints)
         cdef double *results[1]
         results[0] = data(times)
@@ -341,7 +341,7 @@ cdef class Ode:
 
     @property
     def n_breakpoints(self):
-        """The number of times at which expressions have a jump or a kink."""
+        """The number of breakpoints."""
         return self.problem.kernel.n_breakpoints
 
     @property
@@ -803,13 +803,13 @@ cdef class Run:
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.n_times if times is not None else 256)
 
-    def vary(self, directions):
+    def differentiate_along(self, directions):
         """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
         not kept: they only make the steps short enough for derivatives."""
         _prepare_forward(&self.run, &self.forward, self.ode, directions, self.kept)
-        self.run.vary = fb_forward_step
+        self.run.step_jvp = fb_forward_step
         if directions.places:
-            self.directions, self.varied, self.run.vary_sample = directions, [], fb_forward_sample
+            self.directions, self.varied, self.run.sample_jvp = directions, [], fb_forward_sample
         if self.run.project:
             self.ode.check(fb_forward_close(&self.run, self.run.t, FB_LAST_ANY, self.run.x, self.forward.s))
         self._make_room(self.run.room)
@@ -862,7 +862,7 @@ cdef class Run:
         memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
         samples = (times, states)
         is_last = self.times is not None and self.n_taken == len(self.times)
-        if self.run.vary_sample:
+        if self.run.sample_jvp:
             self.varied.append(self.kept_s[:n] if is_last else self.kept_s[:n].copy())
         if self.run.steps:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
@@ -875,7 +875,7 @@ cdef class Run:
     cdef int _make_room(self, long room) except -1:
         self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.n)
         self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
-        if self.run.vary_sample:
+        if self.run.sample_jvp:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
         if self.run.steps:
@@ -934,7 +934,7 @@ cdef class Run:
         """The derivatives after a jump of the speeds to a state x."""
         cdef fb_run *run = &self.run
         cdef int i, n_q = self.ode.evaluator.n_q, n_u = self.ode.evaluator.n_u
-        cdef fb_jump jump
+        cdef fb_velocity_jump jump
         cdef cnp.ndarray memory = np.zeros((2, self.ode.evaluator.n_r + 1)), places = _rates_of(self.ode)
         cdef cnp.ndarray speeds = np.zeros(n_u), scratch = np.zeros(n_u + self.ode.evaluator.n_l)
         cdef int status
@@ -1136,15 +1136,16 @@ cdef class Steps:
         cdef long last = len(self.ends) - 1
         return np.array(self.ends[last, 2:]), float(self.ends[last, 0])
 
-    def gradient(self, by_states, by_outputs=None):
-        """The gradient of a cost from its derivatives by the samples' states, (n_t, n_x), and outputs, (n_t, n_o).
+    def gradient(self, wrt_states, wrt_outputs=None):
+        """The gradient of a cost from its derivatives with respect to the samples' states, (n_t, n_x), and outputs,
+        (n_t, n_o).
 
         Returns
         -------
-        by_start : ndarray, shape (n_x,)
+        wrt_start : ndarray, shape (n_x,)
             By the initial state.
-        by_parameters : ndarray, shape (n_p,)
-        by_sources : list of ndarray
+        wrt_parameters : ndarray, shape (n_p,)
+        wrt_sources : list of ndarray
             For each input by its value, shape (1,); or by the coefficients of its table, interval by interval, then its
             values before and after; None without a source.
 
@@ -1156,7 +1157,7 @@ cdef class Steps:
         cdef Ode ode = _ode(*self.ode.__reduce__()[1])  # with buffers of its own
         cdef fb_run run
         cdef fb_adjoint adjoint
-        cdef cnp.ndarray state_seeds = np.ascontiguousarray(by_states, dtype=np.float64), output_seeds
+        cdef cnp.ndarray state_seeds = np.ascontiguousarray(wrt_states, dtype=np.float64), output_seeds
         cdef cnp.ndarray memory, small, part, rates
         cdef long row, sample = np.size(self.times), until
         cdef int status = FB_OK, n_stages, n_dense
@@ -1174,15 +1175,15 @@ cdef class Steps:
         ode.evaluator.function(FB_CONSTRAINT_JVP)
         adjoint.rows = data(self.ends)
         adjoint.sample_row, adjoint.sample_t = <const long *>cnp.PyArray_DATA(self.places), data(self.times)
-        adjoint.by_states = data(state_seeds)
-        if by_outputs is not None:
-            output_seeds = np.ascontiguousarray(by_outputs, dtype=np.float64)
-            adjoint.by_outputs, adjoint.output_t = data(output_seeds), data(self.absolute_times)
-        by_sources = [None if source is None else np.zeros(
+        adjoint.wrt_states = data(state_seeds)
+        if wrt_outputs is not None:
+            output_seeds = np.ascontiguousarray(wrt_outputs, dtype=np.float64)
+            adjoint.wrt_outputs, adjoint.output_t = data(output_seeds), data(self.absolute_times)
+        wrt_sources = [None if source is None else np.zeros(
             np.size((<Table>source).coefficients) + 2 if type(source) is Table else 1) for source in ode.sources]
-        cdef cnp.ndarray addresses = np.array([part.ctypes.data for part in by_sources if part is not None] or [0],
+        cdef cnp.ndarray addresses = np.array([part.ctypes.data for part in wrt_sources if part is not None] or [0],
                                               dtype=np.uintp)
-        adjoint.by_source = <double **>cnp.PyArray_DATA(addresses)
+        adjoint.wrt_source = <double **>cnp.PyArray_DATA(addresses)
         rates = _rates_of(ode)
         adjoint.jump.rate = <const int *>cnp.PyArray_DATA(rates)
         row = np.shape(self.ends)[0] - 1
@@ -1193,17 +1194,17 @@ cdef class Steps:
                 until = max(first_row, row - 1000)  # then interrupts are possible
                 with nogil:
                     while row >= until and status == FB_OK:
-                        status = fb_pull_back_step(&run, &adjoint, row, &sample)
+                        status = fb_step_vjp(&run, &adjoint, row, &sample)
                         row -= 1
         if status != FB_OK:
             raise SimulationError(
                 f"There is no gradient: {ode.evaluator.failure(status, self.origin + run.t, _state_of(&run))}")
-        start, by_parameters = new_array(run.n), new_array(ode.evaluator.n_p)
+        start, wrt_parameters = new_array(run.n), new_array(ode.evaluator.n_p)
         part = start
-        memcpy(data(part), adjoint.by_state, run.n * sizeof(double))
-        part = by_parameters
-        memcpy(data(part), adjoint.by_parameters, ode.evaluator.n_p * sizeof(double))
-        return start, by_parameters, by_sources
+        memcpy(data(part), adjoint.wrt_state, run.n * sizeof(double))
+        part = wrt_parameters
+        memcpy(data(part), adjoint.wrt_parameters, ode.evaluator.n_p * sizeof(double))
+        return start, wrt_parameters, wrt_sources
 
 
 @cython.final
@@ -1211,7 +1212,7 @@ cdef class Stepper:
     """Advances a mechanism by fixed steps, for control loops and real time.
 
     Each step is one of the classical Runge-Kutta method (four evaluations, no error control), followed by a projection
-    of the state onto the constraints; or several, which end at the jumps and kinks in time of forces and tables. It is
+    of the state onto the constraints; or several, which end at the breakpoints of forces and tables. It is
     one run: each thread needs a stepper of its own.
 
     Attributes
@@ -1234,7 +1235,7 @@ cdef class Stepper:
     cdef cnp.ndarray kept
     cdef bint busy
 
-    # The rows of breaks are the time of a jump or kink of x', the last time before it, and the first one after it.
+    # The rows of breaks are a breakpoint of x', the last time before it, and the first one after it.
 
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(), breaks=()):
         cdef int n = ode.evaluator.n_x

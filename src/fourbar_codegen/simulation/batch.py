@@ -1,4 +1,4 @@
-"""The right-hand side, its Jacobians and the residual at many states, in batches and on all cores."""
+"""The right-hand side, its Jacobians and the residual at batches of states, on all cores."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def evaluate(
     out: Floats | None,
     workers: int | None,
 ) -> Floats:
-    """The right-hand side at many states; see `CompiledModel.rhs_batch`."""
+    """The right-hand side at a batch of states; see `CompiledModel.rhs_batch`."""
     times, states, parameters, inputs = given = _arguments(model, t, x, p, r)
     if out is None:
         out = np.empty(states.shape)
@@ -61,7 +61,7 @@ def differentiate(
     outputs: bool,
     workers: int | None,
 ) -> list[Floats]:
-    """The Jacobians of x', and of the outputs, at many states, each of shape (rows, m, n).
+    """The Jacobians of x', and of the outputs, at a batch of states, each of shape (rows, m, n).
 
     By "state", "parameters" or "inputs"; see `CompiledModel.jacobian_batch`.
     """
@@ -85,7 +85,7 @@ def residual(
     workers: int | None,
     wrt: str | Sequence[str] | None = None,
 ) -> dict[str, Floats]:
-    """The "residual" of the equations of motion at many states, or its Jacobians by the names of `wrt`.
+    """The "residual" of the equations of motion at a batch of states, or its Jacobians by the names of `wrt`.
 
     See `CompiledModel.residual_batch` and `CompiledModel.residual_jacobian_batch`.
     """
@@ -93,8 +93,8 @@ def residual(
     for name in names:
         one_of(name, ("x", "rates", "multipliers", "p", "r"), "wrt")
     if wrt is not None and not names:
-        raise ModelError("wrt names nothing to differentiate by.")
-    # Those by x and the multipliers are found together.
+        raise ModelError("wrt names nothing to differentiate with respect to.")
+    # Those with respect to x and the multipliers are found together.
     together = [*dict.fromkeys("y" if name in ("x", "multipliers") else name for name in names)]
     times, states, parameters, inputs = _arguments(model, t, x, p, r)
     n = states.shape[1]
@@ -147,18 +147,20 @@ def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.b
     rows = np.vstack(
         (bits("coordinate_rates"), residual[:n_u], residual[n_u + n_l :], closed, residual[n_u + n_c : n_u + n_l])
     )
-    by_state, by_parameters, by_inputs, by_accelerations, by_multipliers = np.split(rows, np.cumsum(sizes)[:-1], axis=1)
-    by_rates = np.zeros((n_x + n_l, n_x), dtype=bool)
-    by_rates[:, n_q : n_q + n_u] = by_accelerations
+    wrt_state, wrt_parameters, wrt_inputs, wrt_accelerations, wrt_multipliers = np.split(
+        rows, np.cumsum(sizes)[:-1], axis=1
+    )
+    wrt_rates = np.zeros((n_x + n_l, n_x), dtype=bool)
+    wrt_rates[:, n_q : n_q + n_u] = wrt_accelerations
     own = [*range(n_q), *range(n_q + n_u, n_q + n_u + n_z)]
-    by_rates[own, own] = True
-    through_inputs = by_inputs @ bits("default_inputs")[:, n_x : n_x + n_p]
+    wrt_rates[own, own] = True
+    through_inputs = wrt_inputs @ bits("default_inputs")[:, n_x : n_x + n_p]
     return {
-        "x": by_state,
-        "rates": by_rates,
-        "multipliers": by_multipliers,
-        "p": by_parameters | through_inputs,
-        "r": by_inputs,
+        "x": wrt_state,
+        "rates": wrt_rates,
+        "multipliers": wrt_multipliers,
+        "p": wrt_parameters | through_inputs,
+        "r": wrt_inputs,
     }
 
 

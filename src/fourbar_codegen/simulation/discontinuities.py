@@ -103,7 +103,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
     """
     if not (ode.n_breakpoints or ode.has_tables):
         return []
-    n_moves = ode.layout.breakpoints.n_of_motions
+    n_moves = ode.layout.breakpoints.n_motion_breakpoints
     known = {t: number < n_moves for number, t in reversed(list(enumerate(ode.breakpoints().tolist())))}
     for entry, source in zip(ode.layout.inputs, ode.sources, strict=True):
         if isinstance(source, Table):
@@ -314,7 +314,7 @@ class _Prescribed:
         return [(value, _jumped(value, size, before, after)) for value, size in sizes]
 
     def derivatives(self, before: float, after: float) -> tuple[OfTime, NDArray[np.bool_]]:
-        """What the rates' derivatives jump with: those by parameters, and intervals of tables."""
+        """What the rates' derivatives jump with: those with respect to parameters, and intervals of tables."""
         tables = [source for source in self.ode.sources if isinstance(source, Table)]
 
         def value(t: float) -> Floats:

@@ -1,4 +1,4 @@
-"""Ensembles: many members in SIMD batches, on all cores, or with an engine of joblib."""
+"""Ensembles: many members in SIMD lanes, on all cores, or with an engine of joblib."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, show
 from fourbar_codegen.kernel.consistency import is_rounded, projects
 from fourbar_codegen.kernel.inputs import bind, by_member, by_name, input_sources, inputs_of, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.progress import PATIENCE
+from fourbar_codegen.progress import QUIET_SECONDS
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.runtime.batch import DONE, Members, width
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
@@ -67,7 +67,7 @@ def run(
     from tqdm import tqdm
 
     # disable=None: no progress bar without a terminal.
-    with tqdm(total=n, desc=model.name, unit="run", delay=PATIENCE, disable=None if shows_bar else True) as bar:
+    with tqdm(total=n, desc=model.name, unit="run", delay=QUIET_SECONDS, disable=None if shows_bar else True) as bar:
         if parallel is None or not n:
             y, success, messages, nfev = _on_threads(runs, workers, bar)
         else:
@@ -173,7 +173,7 @@ class _Runs:
 
 
 def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
-    """Simulate in SIMD batches where possible, the other members one by one."""
+    """Simulate in SIMD lanes where possible, the other members one by one."""
     model, options, states, n = runs.model, runs.options, runs.states, len(runs.states)
     assert options.t_eval is not None
     y: Floats | None = None

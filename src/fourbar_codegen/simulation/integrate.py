@@ -131,7 +131,7 @@ def integrate(
             locked = locked_parameters(model, [(t_begin, start)], options.parameters, options.inputs)
             varied = with_probes(model, directions, options.parameters, options.inputs, locked)
         if varied is not None:
-            run.vary(varied)
+            run.differentiate_along(varied)
     run.begin()
     if watch:
         watch.begin(run)
@@ -263,7 +263,7 @@ def integrate(
 
 def _other_values(model: Kernel, options: RunOptions, directions: Directions | None) -> dict[str, Ode]:
     """For each parameter of derivatives of a model with jumps, the right-hand side with another value of it."""
-    if not model.layout.breakpoints.n_of_motions:
+    if not model.layout.breakpoints.n_motion_breakpoints:
         return {}
     p = parameter_array(model, options.parameters)
     names = model.parameters if options.gradient else directions.names if directions else ()

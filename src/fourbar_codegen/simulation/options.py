@@ -198,7 +198,7 @@ def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...], inputs: M
         raise ModelError(f"dx0 must be a mapping from names to arrays of shape ({model.n_x},), not {shown(given)}.")
     tables = {name_of(key): len(source[0]) for key, source in inputs.items() if isinstance(source, tuple)}
     found = {}
-    for name, value in named(given, names, "name to differentiate by").items():
+    for name, value in named(given, names, "name to differentiate with respect to").items():
         what = f"derivative with respect to {name} of state"
         if name not in tables:
             found[name] = named_array(value, model.states, {}, what)

@@ -19,13 +19,13 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import (
     Directions,
     directions_of,
-    follow,
+    implicit_derivatives,
     locked_parameters,
     require_derivatives,
     require_fixed_breakpoints,
 )
-from fourbar_codegen.layout import Jump
-from fourbar_codegen.progress import PATIENCE, Progress
+from fourbar_codegen.layout import StateJump
+from fourbar_codegen.progress import QUIET_SECONDS, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
 from fourbar_codegen.simulation.discontinuities import boundaries, jumping_inputs
@@ -60,7 +60,7 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
     if report is not None:
         run = integrate(model, ode, state, options, report or None, directions)
     else:
-        with Progress(model.name, unwatched=PATIENCE) as progress:
+        with Progress(model.name, unwatched=QUIET_SECONDS) as progress:
 
             def told(t: float) -> None:
                 progress.stage(f"simulating, t = {t:.6g} of {end:g} s")
@@ -74,7 +74,7 @@ def simulate(model: Kernel, options: RunOptions, directions: Directions | None =
 
 
 def _check_differentiable(model: Kernel, options: RunOptions) -> None:
-    jumps = _jumps(model, options) if model.layout.breakpoints.jumps else []
+    jumps = _state_jumps(model, options) if model.layout.breakpoints.state_jumps else []
     for sentence, is_known in (
         ("jump at times that are not known beforehand ({})", True),
         ("may jump ({}): where they might, they have no real value at any of the random states that were tried", False),
@@ -95,14 +95,14 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")
 
 
-def _jumps(model: Kernel, options: RunOptions) -> list[Jump]:
+def _state_jumps(model: Kernel, options: RunOptions) -> list[StateJump]:
     """The jumps that count with these parameters and inputs."""
     given = {name_of(key) for key in options.inputs or ()}
     p, defaults = options.parameters, parameter_array(model, None)
     has_others = p is not None and not np.array_equal(p, defaults, equal_nan=True)
     return [
         entry
-        for entry in model.layout.breakpoints.jumps
+        for entry in model.layout.breakpoints.state_jumps
         if entry.input not in given and (entry.by_default or has_others)
     ]
 
@@ -119,7 +119,9 @@ def _directions(model: Kernel, options: RunOptions, state: Floats) -> Directions
         held[found.places[name]] = True
     matrix = found.matrix.copy()
     if not held.all():
-        matrix[:, ~held] = follow(model, options.t_span[0], state, found, options.parameters, options.inputs)[:, ~held]
+        matrix[:, ~held] = implicit_derivatives(
+            model, options.t_span[0], state, found, options.parameters, options.inputs
+        )[:, ~held]
     for name, derivative in options.dx0.items():
         matrix[: model.n_x, found.places[name]] = derivative.T
     return Directions(found.places, matrix, found.sources)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.kernel.consistency import FLOOR
+from fourbar_codegen.kernel.consistency import ROUNDING_ATOL
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Ode
 from fourbar_codegen.simulation.run_protocol import Integration
@@ -102,7 +102,7 @@ class Singular:
             jumped.append(changes[largest])
             jump_shares = np.linspace(jump_shares[largest], jump_shares[largest + 1], 33)
         passed = self._message("passes", run.ode, t, x, PASSED, ", and may go on in more than one way")
-        if passed or not jumped[-1] > JUMPED * jumped[0] + FLOOR:
+        if passed or not jumped[-1] > JUMPED * jumped[0] + ROUNDING_ATOL:
             return passed
         return (
             f"A step has jumped to another assembly mode at t = {run.time_within(jump_shares[0]):.6g}, past a singular "

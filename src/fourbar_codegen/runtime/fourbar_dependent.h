@@ -1,5 +1,5 @@
-/* Dependent coordinates and speeds near a state: by how much they violate the constraints, and how they follow from the
- * independent ones, parameters and inputs, by the implicit function theorem.
+/* Dependent coordinates and speeds near a state: by how much they violate the constraints, and their implicit
+ * derivatives with respect to the independent ones, parameters and inputs.
  *
  * For dependent q_d, u_d, and derivatives of the constraint violations w and J u + b along directions,
  *
@@ -7,24 +7,17 @@
  *
  * The last column, c, is a step of Newton's method for the state itself. Constraints may be redundant.
  */
-#ifndef FOURBAR_FOLLOW_H
-#define FOURBAR_FOLLOW_H
+#ifndef FOURBAR_DEPENDENT_H
+#define FOURBAR_DEPENDENT_H
 
 #include "fourbar_array.h"
 #include "fourbar_kernel.h"
 
 #include <string.h>
 
-enum FB_FOLLOW { FB_FOLLOWS = 0, FB_COORDINATES_DO_NOT = 1, FB_SPEEDS_DO_NOT = 2 };
+enum FB_DEPENDENT { FB_DETERMINATE = 0, FB_COORDINATES_UNDETERMINED = 1, FB_SPEEDS_UNDETERMINED = 2 };
 
-/* Pivots below this fraction of the largest leave dependent values undetermined. At a singular position the constraints
- * are squares of the coordinates, which are then known to the root of the precision of double, 1.5e-8, and so are the
- * pivots. */
-#define FB_FOLLOWING 1e-7
-/* Rows below this fraction of the largest are rounding errors: 1000 times the precision of double. */
-#define FB_FOLLOW_ROUNDING 2e-13
-
-typedef struct fb_follow {
+typedef struct fb_dependent {
     int n_qd, n_ud, n; /* the numbers of dependent coordinates and speeds, and of directions */
     /* (n_x + n_p + n_r, n_qd + n_ud + n): directions in the last n columns. The rows of dependent values are filled
      * there, and those columns before are scratch. */
@@ -41,10 +34,10 @@ typedef struct fb_follow {
     double *sides;    /* (n_c + n_i, n + 1) */
     double *solution; /* (n_d, n + 1) */
     double *order;    /* n_d integers */
-} fb_follow;
+} fb_dependent;
 
 /* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
-static inline size_t fb_place_follow(const fb_kernel *k, fb_follow *f, double *memory)
+static inline size_t fb_place_dependent(const fb_kernel *k, fb_dependent *f, double *memory)
 {
     const int rows = k->n_x + k->n_p + k->n_r, columns = f->n_qd + f->n_ud + f->n;
     const int n_d = f->n_qd > f->n_ud ? f->n_qd : f->n_ud, n_p = k->n_c + k->n_i;
@@ -67,7 +60,8 @@ static inline size_t fb_place_follow(const fb_kernel *k, fb_follow *f, double *m
 /* The dependent values' changes in `solution`, for the rows of `changes` from `first` on, whose unknowns are n_d
  * columns from `column` on; whether they are determined. Rows are scaled by their largest entries; rows of rounding
  * errors are left out. */
-static inline int fb_follow_solve(fb_follow *f, const int first, const int n_rows, const int column, const int n_d)
+static inline int fb_solve_dependent(fb_dependent *f, const int first, const int n_rows, const int column,
+                                     const int n_d)
 {
     const int columns = f->n_qd + f->n_ud + f->n + 1, n = f->n + 1;
     double largest_row = 0.0, largest = 0.0, last;
@@ -82,7 +76,7 @@ static inline int fb_follow_solve(fb_follow *f, const int first, const int n_row
     }
     for (int i = 0; i < n_rows; ++i) {
         const double *const row = f->changes + (first + i) * columns;
-        const double unit = f->size[i] > FB_FOLLOW_ROUNDING * largest_row ? 1.0 / f->size[i] : 0.0;
+        const double unit = f->size[i] > FB_ROW_RTOL * largest_row ? 1.0 / f->size[i] : 0.0;
         for (int j = 0; j < n_d; ++j) {
             f->matrix[i * n_d + j] = unit * row[column + j];
             largest = fb_max(largest, fabs(f->matrix[i * n_d + j]));
@@ -99,11 +93,11 @@ static inline int fb_follow_solve(fb_follow *f, const int first, const int n_row
     for (int i = n_d; i < n_rows; ++i)
         for (int j = 0; j < n; ++j)
             f->left[j] = fb_max(f->left[j], fabs(f->sides[i * n + j]));
-    return rank == n_d && last > FB_FOLLOWING && all_finite(f->solution, n_d * n) == FB_OK;
+    return rank == n_d && last > FB_DETERMINED_RATIO && all_finite(f->solution, n_d * n) == FB_OK;
 }
 
 /* Stores the changes of values from `row` of the state on. */
-static inline void fb_follow_store(fb_follow *f, const int row, const int n_d, double *corrections)
+static inline void fb_store_dependent(fb_dependent *f, const int row, const int n_d, double *corrections)
 {
     const int columns = f->n_qd + f->n_ud + f->n;
     for (int i = 0; i < n_d; ++i) {
@@ -113,9 +107,9 @@ static inline void fb_follow_store(fb_follow *f, const int row, const int n_d, d
     }
 }
 
-/* Fills the dependent rows of directions; an FB_FOLLOW. */
-static inline int fb_follow_at(const fb_kernel *k, const double t, const double *x, const double *constants,
-                               const double *r, fb_follow *f)
+/* Fills the dependent rows of directions; an FB_DEPENDENT. */
+static inline int fb_implicit_derivatives(const fb_kernel *k, const double t, const double *x, const double *constants,
+                                          const double *r, fb_dependent *f)
 {
     const int rows = k->n_x + k->n_p + k->n_r, columns = f->n_qd + f->n_ud + f->n;
     const int n_p = k->n_c + k->n_i, q_d = k->n_q - f->n_qd, u_d = k->n_q + k->n_u - f->n_ud;
@@ -148,9 +142,9 @@ static inline int fb_follow_at(const fb_kernel *k, const double t, const double 
     for (int i = 0; i < k->n_c; ++i)
         f->changes[(n_p + i) * (columns + 1) + columns] = velocities[i];
     if (f->n_qd > 0) {
-        if (!fb_follow_solve(f, 0, n_p, 0, f->n_qd))
-            return FB_COORDINATES_DO_NOT;
-        fb_follow_store(f, q_d, f->n_qd, f->corrections);
+        if (!fb_solve_dependent(f, 0, n_p, 0, f->n_qd))
+            return FB_COORDINATES_UNDETERMINED;
+        fb_store_dependent(f, q_d, f->n_qd, f->corrections);
         for (int i = n_p; i < n_p + k->n_c; ++i)
             for (int j = 0; j < f->n_qd; ++j)
                 for (int l = 0; l <= f->n; ++l)
@@ -158,11 +152,11 @@ static inline int fb_follow_at(const fb_kernel *k, const double t, const double 
                         f->changes[i * (columns + 1) + j] * f->solution[j * (f->n + 1) + l];
     }
     if (f->n_ud > 0) {
-        if (!fb_follow_solve(f, n_p, k->n_c, f->n_qd, f->n_ud))
-            return FB_SPEEDS_DO_NOT;
-        fb_follow_store(f, u_d, f->n_ud, f->corrections + f->n_qd);
+        if (!fb_solve_dependent(f, n_p, k->n_c, f->n_qd, f->n_ud))
+            return FB_SPEEDS_UNDETERMINED;
+        fb_store_dependent(f, u_d, f->n_ud, f->corrections + f->n_qd);
     }
-    return FB_FOLLOWS;
+    return FB_DETERMINATE;
 }
 
 #endif

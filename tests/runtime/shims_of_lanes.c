@@ -1,5 +1,5 @@
-/* Sine and cosine of angles side by side. */
-#define FB_SIDE_BY_SIDE
+/* Sine and cosine of angles in the lanes of vectors. */
+#define FB_LANES
 #include "fourbar_angle.h"
 
 int width(void)

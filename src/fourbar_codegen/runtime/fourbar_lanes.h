@@ -1,4 +1,4 @@
-/* The equations of motion of FB_WIDTH states side by side, a state in each SIMD lane of fb_real.
+/* The equations of motion of FB_WIDTH states, a state in each SIMD lane of fb_real.
  *
  * Results of a lane are bitwise independent of the other lanes. The equations are solved as for single states, dense
  * ones with the static pivot order; a lane with too small pivots is left to the kernel for single states.
@@ -22,25 +22,25 @@ enum { N_X = N_Q + N_U + N_Z };
 
 /* Smallest ratio of a pivot to the sum of its row, which takes less time than the largest entry. The limit is lower
  * than in fourbar_solve.h, at the cost of a digit or two, since all lanes wait if one needs other pivots. */
-#define FB_BATCH_PIVOT_TOLERANCE 0.01
+#define FB_LANE_PIVOT_RATIO 0.01
 
 #ifdef FB_RECURSIVE
-typedef struct fb_factors_side_by_side {
+typedef struct fb_lane_factors {
     fb_mask good;
     const fb_real *constants, *mass, *jacobian;
     fb_real response[FB_AT_LEAST_1(N_U * N_C)];             /* W */
     fb_real normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)]; /* A = L D L^T: L below the diagonal, 1/D on it */
-} fb_factors_side_by_side;
+} fb_lane_factors;
 
 #define FB_VALUE fb_real
-#define FB_FACTORS fb_factors_side_by_side
-#define FB_OF(name) name##_side_by_side
+#define FB_FACTORS fb_lane_factors
+#define FB_OF(name) name##_lanes
 #define FB_REQUIRE(s, condition) (s)->good &= (condition)
 #define FB_RESPONSE(s, j, i) (s)->response[(j) * N_C + (i)]
 #include "fourbar_normal.h"
 
-static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass,
-                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
+static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass,
+                                      const fb_real *restrict jacobian, fb_lane_factors *restrict s)
 {
     s->good = (fb_mask)(fb_bits){0} == 0;
     s->constants = constants;
@@ -50,7 +50,7 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
     for (int i = 1; i < N_U; ++i)
         largest = fb_greater(mass[i], largest);
     for (int i = 0; i < N_U; ++i)
-        s->good &= (mass[i] > 0.0) & (mass[i] > FB_SUSPICIOUS * largest);
+        s->good &= (mass[i] > 0.0) & (mass[i] > FB_SUSPICIOUS_PIVOT_RATIO * largest);
     for (int k = 0; k < N_C; ++k) {
         fb_real column[N_U];
         mass_solve(constants, mass + N_U, jacobian + k * N_U, column);
@@ -63,23 +63,23 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
             for (int j = 0; j < N_U; ++j)
                 s->normal[i][k] += jacobian[i * N_U + j] * s->response[j * N_C + k];
         }
-    fb_factor_normal_side_by_side(s);
+    fb_factor_normal_lanes(s);
 }
 
 /* u' for one right-hand side (f, gamma); NULL for f means zeros. */
-static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
-                                            const fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
+static FB_INLINE void fb_solve_lanes(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+                                     const fb_lane_factors *restrict s, fb_real *restrict accelerations)
 {
     if (forcing)
         mass_solve(s->constants, s->mass + N_U, forcing, accelerations);
     else
         for (int j = 0; j < N_U; ++j)
             accelerations[j] = fb_number(0.0);
-    fb_constrain_side_by_side(acceleration_bias, s, accelerations);
+    fb_constrain_lanes(acceleration_bias, s, accelerations);
 }
 
 /* The pivots of J in the static pivot order, which is only a way to find the sign of det J_d. */
-static inline void fb_pivots_side_by_side(const fb_factors_side_by_side *restrict s, fb_real *restrict pivots)
+static inline void fb_pivots_lanes(const fb_lane_factors *restrict s, fb_real *restrict pivots)
 {
     fb_real lu[FB_AT_LEAST_1(N_C)][N_U];
     for (int i = 0; i < N_C; ++i)
@@ -96,49 +96,49 @@ static inline void fb_pivots_side_by_side(const fb_factors_side_by_side *restric
 #elif defined(FB_SPARSE)
 enum { N_STEPS = N_U + N_C };
 
-typedef struct fb_factors_side_by_side {
+typedef struct fb_lane_factors {
     fb_mask good;
     fb_real entries[N_STEPS + N_BELOW]; /* the inverse of D, and L column by column */
     fb_real jacobian[FB_AT_LEAST_1(N_JACOBIAN)];
     fb_real weight[FB_AT_LEAST_1(N_C)];
-} fb_factors_side_by_side;
+} fb_lane_factors;
 
 #define FB_VALUE fb_real
-#define FB_FACTORS fb_factors_side_by_side
-#define FB_OF(name) name##_side_by_side
+#define FB_FACTORS fb_lane_factors
+#define FB_OF(name) name##_lanes
 #define FB_ABS(value) fb_abs(value)
 #define FB_SELECT(condition, yes, no) fb_select(condition, yes, no)
 #define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
 #include "fourbar_ordered.h"
 
-static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
-                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
+static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
+                                      const fb_real *restrict jacobian, fb_lane_factors *restrict s)
 {
     (void)constants;
     s->good = (fb_mask)(fb_bits){0} == 0;
-    fb_factor_ordered_side_by_side(mass_matrix, jacobian, s);
+    fb_factor_ordered_lanes(mass_matrix, jacobian, s);
 }
 
-#define fb_solve_side_by_side fb_solve_ordered_side_by_side
+#define fb_solve_lanes fb_solve_ordered_lanes
 
 #else
-typedef struct fb_factors_side_by_side {
+typedef struct fb_lane_factors {
     fb_mask good;
     fb_real size[FB_AT_LEAST_1(N_C - N_RANK)]; /* the sums of the redundant rows of J */
     fb_real inverse[FB_AT_LEAST_1(N_C)];       /* 1 / the diagonal of U_d */
     fb_real lu[FB_AT_LEAST_1(N_C)][N_U];       /* L below the diagonal, U_d on and above it, then A */
     fb_real mass[N_U][N_U];                    /* Q^T M Q */
     fb_real reduced[N_U][N_U];                 /* T^T M T = L D L^T: L below the diagonal, 1/D on it */
-} fb_factors_side_by_side;
+} fb_lane_factors;
 
 #define FB_VALUE fb_real
-#define FB_FACTORS fb_factors_side_by_side
-#define FB_OF(name) name##_side_by_side
+#define FB_FACTORS fb_lane_factors
+#define FB_OF(name) name##_lanes
 #define FB_REQUIRE_POSITIVE(s, value) (s)->good &= (value) > 0.0
 #include "fourbar_pivoted.h"
 
-static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
-                                             const fb_real *restrict jacobian, fb_factors_side_by_side *restrict s)
+static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
+                                      const fb_real *restrict jacobian, fb_lane_factors *restrict s)
 {
     (void)constants;
     fb_real size[FB_AT_LEAST_1(N_C)], sizes = fb_number(0.0);
@@ -152,26 +152,26 @@ static FB_INLINE void fb_factor_side_by_side(const fb_real *restrict constants, 
         sizes += size[i];
     }
     for (int k = 0; k < N_RANK; ++k) {
-        fb_real left = FB_NEAR_DEPENDENCE * size[k];
-        s->good &= size[k] > FB_NEAR_DEPENDENCE * sizes;
+        fb_real left = FB_NEAR_DEPENDENCE_RTOL * size[k];
+        s->good &= size[k] > FB_NEAR_DEPENDENCE_RTOL * sizes;
         for (int j = k; j < N_U; ++j)
             left += fb_abs(s->lu[k][j]);
-        s->good &= fb_abs(s->lu[k][k]) > FB_BATCH_PIVOT_TOLERANCE * left;
-        fb_eliminate_below_side_by_side(s->lu, s->inverse, k);
+        s->good &= fb_abs(s->lu[k][k]) > FB_LANE_PIVOT_RATIO * left;
+        fb_eliminate_below_lanes(s->lu, s->inverse, k);
     }
     /* Whether redundant rows may be larger, since loops are open, is decided for single states. */
     for (int i = N_RANK; i < N_C; ++i) {
         s->size[i - N_RANK] = size[i];
         for (int j = N_RANK; j < N_U; ++j)
-            s->good &= fb_abs(s->lu[i][j]) <= FB_REDUNDANT / N_U * size[i];
+            s->good &= fb_abs(s->lu[i][j]) <= FB_REDUNDANCY_RTOL / N_U * size[i];
     }
-    fb_reduce_side_by_side(mass_matrix, s, static_pivot_speed);
+    fb_reduce_lanes(mass_matrix, s, static_pivot_speed);
 }
 
 /* u' for one right-hand side (f, gamma); NULL for f means zeros. A lane is not good if u' does not satisfy the
  * redundant constraints. */
-static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
-                                            fb_factors_side_by_side *restrict s, fb_real *restrict accelerations)
+static FB_INLINE void fb_solve_lanes(const fb_real *restrict forcing, const fb_real *restrict acceleration_bias,
+                                     fb_lane_factors *restrict s, fb_real *restrict accelerations)
 {
     fb_real w[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
@@ -179,18 +179,18 @@ static FB_INLINE void fb_solve_side_by_side(const fb_real *restrict forcing, con
         for (int k = 0; k < i && k < N_RANK; ++k)
             w[i] -= s->lu[i][k] * w[k];
     }
-    fb_back_side_by_side(forcing, w, s, accelerations, static_pivot_speed);
+    fb_back_lanes(forcing, w, s, accelerations, static_pivot_speed);
     if (N_RANK < N_C && forcing) {
         fb_real size = fb_number(0.0);
         for (int i = 0; i < N_U; ++i)
             size = fb_greater(fb_abs(accelerations[i]), size);
         for (int i = N_RANK; i < N_C; ++i)
-            s->good &= fb_abs(w[i]) <= FB_DRIFT_TOLERANCE * size * s->size[i - N_RANK] + FB_NEARLY;
+            s->good &= fb_abs(w[i]) <= FB_DRIFT_RTOL * size * s->size[i - N_RANK] + FB_DRIFT_ATOL;
     }
 }
 
 /* The pivots of J; the factors have them. */
-static FB_INLINE void fb_pivots_side_by_side(const fb_factors_side_by_side *restrict s, fb_real *restrict pivots)
+static FB_INLINE void fb_pivots_lanes(const fb_lane_factors *restrict s, fb_real *restrict pivots)
 {
     for (int k = 0; k < N_C; ++k)
         pivots[k] = s->lu[k][k];
@@ -212,16 +212,16 @@ static FB_INLINE void fb_fill_state_rates(const fb_real t, const fb_real *restri
 #endif
 }
 
-/* States side by side: their equations, and the kernel for one state with its memory. */
-typedef struct fb_side {
+/* The equations of the states in the lanes, and the kernel for one state with its memory. */
+typedef struct fb_lane_equations {
     const fb_kernel *kernel; /* for one state */
     fb_real constants[FB_AT_LEAST_1(N_CONSTANTS)], inputs[FB_AT_LEAST_1(N_R)];
     fb_real mass_matrix[N_MASS], forcing[N_U];
     fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
-    fb_factors_side_by_side factors; /* of the last evaluation */
+    fb_lane_factors factors; /* of the last evaluation */
     double lane_x[N_X], lane_constants[FB_AT_LEAST_1(N_CONSTANTS)], lane_inputs[FB_AT_LEAST_1(N_R)], lane_rates[N_X];
     void *work, *memory;
-} fb_side;
+} fb_lane_equations;
 
 static inline void fb_take_lane(const fb_real *restrict from, const int lane, const int n, double *restrict to)
 {
@@ -236,8 +236,8 @@ static inline void fb_put_lane(const double *restrict from, const int lane, cons
 }
 
 /* x' of one lane by the kernel for one state. */
-static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, const fb_real *x, const int lane,
-                                                    fb_real *rates)
+static __attribute__((noinline)) void fb_single_rates(fb_lane_equations *s, const double t, const fb_real *x,
+                                                      const int lane, fb_real *rates)
 {
     fb_take_lane(x, lane, N_X, s->lane_x);
     fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
@@ -251,28 +251,29 @@ static __attribute__((noinline)) void fb_lane_rates(fb_side *s, const double t, 
 
 /* Sets up the equations, for known inputs, and factors them. Not inline, so that it is compiled once, and stays in the
  * instruction cache. */
-static __attribute__((noinline)) FB_FLATTEN void
-fb_side_equations(fb_side *restrict s, const fb_real t, const fb_real *restrict x, fb_real *restrict coordinate_rates)
+static __attribute__((noinline)) FB_FLATTEN void fb_form_lane_equations(fb_lane_equations *restrict s, const fb_real t,
+                                                                        const fb_real *restrict x,
+                                                                        fb_real *restrict coordinate_rates)
 {
     dynamics(t, x, s->constants, s->inputs, coordinate_rates, s->mass_matrix, s->forcing, s->constraint_jacobian,
              s->acceleration_bias);
-    fb_factor_side_by_side(s->constants, s->mass_matrix, s->constraint_jacobian, &s->factors);
+    fb_factor_lanes(s->constants, s->mass_matrix, s->constraint_jacobian, &s->factors);
 }
 
 /* x' of the requested lanes, for known inputs. */
-static inline void fb_side_rates(fb_side *restrict s, const fb_real t, const fb_real *restrict x, const fb_mask asked,
-                                 fb_real *restrict rates)
+static inline void fb_lane_rates(fb_lane_equations *restrict s, const fb_real t, const fb_real *restrict x,
+                                 const fb_mask asked, fb_real *restrict rates)
 {
-    fb_side_equations(s, t, x, rates);
-    fb_solve_side_by_side(s->forcing, s->acceleration_bias, &s->factors, rates + N_Q);
+    fb_form_lane_equations(s, t, x, rates);
+    fb_solve_lanes(s->forcing, s->acceleration_bias, &s->factors, rates + N_Q);
     fb_fill_state_rates(t, x, s->constants, s->inputs, rates);
     if (fb_any(asked & ~s->factors.good))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] & ~s->factors.good[lane])
-                fb_lane_rates(s, t[lane], x, lane, rates);
+                fb_single_rates(s, t[lane], x, lane, rates);
 }
 
-static void fb_free_side(fb_side *s)
+static void fb_free_lane_equations(fb_lane_equations *s)
 {
     if (s) {
         free(s->work);
@@ -280,18 +281,19 @@ static void fb_free_side(fb_side *s)
     }
 }
 
-/* Memory of `size` bytes that begin with an fb_side, aligned for fb_real; NULL without memory. */
-static fb_side *fb_new_side(const fb_kernel *kernel, const size_t size)
+/* Memory of `size` bytes that begin with an fb_lane_equations, aligned for fb_real; NULL without memory. */
+static fb_lane_equations *fb_new_lane_equations(const fb_kernel *kernel, const size_t size)
 {
     char *const memory = calloc(1, size + sizeof(fb_real));
     if (memory == NULL)
         return NULL;
-    fb_side *const s = (fb_side *)(void *)(memory + (sizeof(fb_real) - (uintptr_t)memory % sizeof(fb_real)));
+    fb_lane_equations *const s =
+        (fb_lane_equations *)(void *)(memory + (sizeof(fb_real) - (uintptr_t)memory % sizeof(fb_real)));
     s->memory = memory;
     s->kernel = kernel;
     s->work = calloc(1, kernel->work_size);
     if (s->work == NULL) {
-        fb_free_side(s);
+        fb_free_lane_equations(s);
         return NULL;
     }
     return s;
@@ -299,12 +301,12 @@ static fb_side *fb_new_side(const fb_kernel *kernel, const size_t size)
 
 /* FB_WIDTH states from number i on, with the last one repeated if there are fewer; contiguous states are read directly.
  */
-static FB_INLINE void fb_load(const fb_columns *columns, const int rows, const long i, const int count,
+static FB_INLINE void fb_load(const fb_batch_array *array, const int rows, const long i, const int count,
                               fb_real *restrict to)
 {
     double copies[FB_AT_LEAST_1(N_X + N_P + N_R)][FB_WIDTH];
-    const double *from = columns->values + (columns->stride ? i : 0);
-    long apart = columns->stride;
+    const double *from = array->values + (array->stride ? i : 0);
+    long apart = array->stride;
     if (apart == 0 || count < FB_WIDTH) {
         for (int row = 0; row < rows; ++row)
             for (int lane = 0; lane < FB_WIDTH; ++lane)
@@ -317,7 +319,7 @@ static FB_INLINE void fb_load(const fb_columns *columns, const int rows, const l
 }
 
 /* Rows of FB_WIDTH numbers, from column i on. */
-static FB_INLINE void fb_put_columns(const fb_real *restrict from, const int rows, const long n, const long i,
+static FB_INLINE void fb_store_lanes(const fb_real *restrict from, const int rows, const long n, const long i,
                                      const int count, double *restrict to)
 {
     for (int row = 0; row < rows; ++row)
@@ -329,7 +331,8 @@ static FB_INLINE void fb_put_columns(const fb_real *restrict from, const int row
 
 /* Lanes with too small pivots or rates that are not finite, by the kernel for single states. */
 static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i, const int count, const fb_real *t,
-                                                const fb_real *x, const fb_mask *good, fb_real *rates, fb_side *s)
+                                                const fb_real *x, const fb_mask *good, fb_real *rates,
+                                                fb_lane_equations *s)
 {
     fb_real p[FB_AT_LEAST_1(N_P)];
     fb_load(&b->p, N_P, i, count, p);
@@ -340,7 +343,7 @@ static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i,
         fb_load(&b->r, N_R, i, count, s->inputs);
     for (int lane = 0; lane < FB_WIDTH; ++lane)
         if (!(*good)[lane])
-            fb_lane_rates(s, (*t)[lane], x, lane, rates);
+            fb_single_rates(s, (*t)[lane], x, lane, rates);
     fb_mask finite = *t - *t == 0.0;
     for (int j = 0; j < N_X; ++j)
         finite &= rates[j] - rates[j] == 0.0;
@@ -349,7 +352,8 @@ static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i,
 }
 
 /* States from begin to end, with parameters of their own or common to all. */
-static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const long end, const int own, fb_side *s)
+static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const long end, const int own,
+                                  fb_lane_equations *s)
 {
     fb_real p[FB_AT_LEAST_1(N_P)], constants[FB_AT_LEAST_1(N_CONSTANTS)], r[FB_AT_LEAST_1(N_R)];
     if (!own) {
@@ -363,7 +367,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         count = end - i < count ? (int)(end - i) : count;
         fb_real t, x[N_X], rates[N_X], mass_matrix[N_MASS], forcing[N_U];
         fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
-        fb_factors_side_by_side factors;
+        fb_lane_factors factors;
         fb_load(&b->t, 1, i, count, &t);
         fb_load(&b->x, N_X, i, count, x);
         if (own) {
@@ -375,8 +379,8 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         else
             fb_load(&b->r, N_R, i, count, r);
         dynamics(t, x, constants, r, rates, mass_matrix, forcing, constraint_jacobian, acceleration_bias);
-        fb_factor_side_by_side(constants, mass_matrix, constraint_jacobian, &factors);
-        fb_solve_side_by_side(forcing, acceleration_bias, &factors, rates + N_Q);
+        fb_factor_lanes(constants, mass_matrix, constraint_jacobian, &factors);
+        fb_solve_lanes(forcing, acceleration_bias, &factors, rates + N_Q);
         fb_fill_state_rates(t, x, constants, r, rates);
         fb_real sum = t;
         for (int j = 0; j < N_X; ++j)
@@ -384,15 +388,15 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
         /* The sum may also overflow although all rates are finite; then nothing is changed. */
         if (fb_any(~(factors.good & (sum - sum == 0.0))))
             fb_repair(b, i, count, &t, x, &factors.good, rates, s);
-        fb_put_columns(rates, N_X, b->n, i, count, b->rates);
+        fb_store_lanes(rates, N_X, b->n, i, count, b->rates);
     }
 }
 
 static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 {
     if (begin >= end)
-        return 0;                                         /* without states, not even parameters can be read */
-    fb_side *const s = fb_new_side(b->kernel, sizeof *s); /* for single states */
+        return 0; /* without states, not even parameters can be read */
+    fb_lane_equations *const s = fb_new_lane_equations(b->kernel, sizeof *s); /* for single states */
     if (s == NULL)
         return -1;
 #ifdef FB_SHORT
@@ -403,7 +407,7 @@ static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
 #else
     fb_batch_of(b, begin, end, b->p.stride != 0, s);
 #endif
-    fb_free_side(s);
+    fb_free_lane_equations(s);
     return 0;
 }
 

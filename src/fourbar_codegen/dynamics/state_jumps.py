@@ -16,16 +16,16 @@ from fourbar_codegen.dynamics.equations import Equations
 from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
 from fourbar_codegen.expressions.tape import Call, Leaf, Reciprocal, Scalar, Tape
-from fourbar_codegen.layout import Jump
+from fourbar_codegen.layout import StateJump
 
-__all__ = ["Jump", "jumps"]
+__all__ = ["StateJump", "state_jumps"]
 
 Floats = NDArray[np.float64]
 
-ATTEMPTS = 24
+N_LINES = 24
 """Random lines along which a condition may switch, ..."""
 
-ORDERS = 3
+MAX_ORDER = 3
 """... every other one with variables of different orders of magnitude, up to this power of ten."""
 
 DISTANCES = np.array(sorted([0.0, *(sign * 10.0**k for k in range(-6, 13) for sign in (1.0, -1.0))]))
@@ -38,10 +38,10 @@ NEAR, NEXT = 1e-12, 1e-9
 """Relative distances from a condition, beyond its rounding errors, of values on both sides and of the next ones, which
 show how rows change there: a square root differs by 1e-6 and 3e-5."""
 
-STEADY = 10.0
+JUMP_RATIO = 10.0
 """A jump is larger than so many of these changes, ..."""
 
-ROUNDING = 1e-12
+ROUNDING_RTOL = 1e-12
 """... and than this fraction of the row's values."""
 
 
@@ -54,9 +54,9 @@ class Outcome(Enum):
     """Wherever the function may jump, the rows have no real value."""
 
 
-def jumps(
+def state_jumps(
     equations: Equations, states: Sequence[str], inputs: Sequence[str], parameters: Mapping[Scalar, float]
-) -> list[Jump]:
+) -> list[StateJump]:
     """The functions at which q', the residual of the equations of motion, or the expression of an input jumps.
 
     Without those that jump at times that follow from parameters alone.
@@ -106,7 +106,7 @@ def jumps(
                 is_known = own is not Outcome.UNKNOWN
                 key = f"{type(function).__name__} of {', '.join(by)}", of, is_known
                 found[key] = found.get(key, False) or own is not Outcome.STEADY
-    return [Jump(name, of, by_these, is_known) for (name, of, is_known), by_these in found.items()]
+    return [StateJump(name, of, by_these, is_known) for (name, of, is_known), by_these in found.items()]
 
 
 def _moving_boundaries(
@@ -172,10 +172,10 @@ def _random_lines(e: Equations, scalars: Sequence[Scalar], parameters: Mapping[S
     tape, generator = e.tape, random.Random(0)
     leaves = [Scalar(tape, 1, n) for n in tape.reach(scalars) if isinstance(tape.nodes[n], Leaf)]
     lines: dict[Scalar, list[tuple[float, float]]] = {leaf: [] for leaf in leaves}
-    for attempt in range(ATTEMPTS):
+    for attempt in range(N_LINES):
         given = e.variables.parameters
         known = {leaf: parameters[leaf] if leaf in parameters else generator.uniform(0.5, 1.5) for leaf in given}
-        sizes = [10.0 ** generator.uniform(-ORDERS, ORDERS) if attempt % 2 else 1.0 for _ in leaves]
+        sizes = [10.0 ** generator.uniform(-MAX_ORDER, MAX_ORDER) if attempt % 2 else 1.0 for _ in leaves]
         for leaf, size in zip(leaves, sizes, strict=True):
             drawn = size * generator.uniform(-1.0, 1.0), size * generator.uniform(-1.0, 1.0)
             lines[leaf].append((known[leaf], 0.0) if leaf in known else drawn)
@@ -187,7 +187,7 @@ def _random_lines(e: Equations, scalars: Sequence[Scalar], parameters: Mapping[S
 def _look(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Mapping[Scalar, float]) -> Outcome:
     """Whether the rows jump at a sign change of a scalar on one of several random lines."""
     lines = _random_lines(e, [boundary, *rows], parameters)
-    [values] = lines.values([boundary], np.tile(DISTANCES, (ATTEMPTS, 1)))
+    [values] = lines.values([boundary], np.tile(DISTANCES, (N_LINES, 1)))
     known, positive = np.isfinite(values), values > 0.0
     switches = known[:, :-1] & known[:, 1:] & (positive[:, :-1] != positive[:, 1:])
     chosen = np.flatnonzero(switches.any(axis=1))
@@ -203,8 +203,8 @@ def _look(e: Equations, boundary: Scalar, rows: Sequence[Scalar], parameters: Ma
     values = lines.values(rows, np.hstack(around))
     earlier, last, then, later = np.moveaxis(values[..., 1:-1], 2, 0)
     with np.errstate(invalid="ignore"):  # where a row has no real value, comparisons are false
-        steady = STEADY * (np.abs(last - earlier) + np.abs(later - then))
-        if (np.abs(then - last) > steady + ROUNDING * np.abs(values).max(axis=2)).any():
+        steady = JUMP_RATIO * (np.abs(last - earlier) + np.abs(later - then))
+        if (np.abs(then - last) > steady + ROUNDING_RTOL * np.abs(values).max(axis=2)).any():
             return Outcome.JUMPS
     # At the edge of its domain, such as that of a root, a row has values on one side.
     has_values = (np.isfinite(earlier) & np.isfinite(last)) | (np.isfinite(then) & np.isfinite(later))

@@ -10,20 +10,20 @@
  *
  * Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, Wiley, 1996, section 8.2.
  */
-#ifndef FOURBAR_JUMPS_H
-#define FOURBAR_JUMPS_H
+#ifndef FOURBAR_VELOCITY_JUMP_H
+#define FOURBAR_VELOCITY_JUMP_H
 
 #include "fourbar_problem.h"
 
-typedef struct fb_jump {
+typedef struct fb_velocity_jump {
     double t_before, t_after; /* the last time of the inputs before, and the first one after */
     const int *rate;          /* (n_r,): for an input that is a second derivative, the place of the rate; or -1 */
     double *before,
         *change; /* (n_r,): the inputs before; the jumps of the rates, in the places of second derivatives */
-} fb_jump;
+} fb_velocity_jump;
 
 /* The inputs are those after the jump; without callables, which prescribe no motion. */
-static inline void fb_fill_jump(fb_problem *p, fb_jump *jump, const double *x)
+static inline void fb_fill_jump(fb_problem *p, fb_velocity_jump *jump, const double *x)
 {
     const int n_r = p->kernel->n_r;
     fb_fill_inputs(p, jump->t_before, x);
@@ -35,7 +35,7 @@ static inline void fb_fill_jump(fb_problem *p, fb_jump *jump, const double *x)
 }
 
 /* The second derivatives of the inputs become the jumps of the rates, or 0. */
-static inline void fb_take_jump(fb_problem *p, const fb_jump *jump, const int jumps)
+static inline void fb_set_jump(fb_problem *p, const fb_velocity_jump *jump, const int jumps)
 {
     for (int i = 0; i < p->kernel->n_r; ++i)
         if (jump->rate[i] >= 0)
@@ -43,13 +43,14 @@ static inline void fb_take_jump(fb_problem *p, const fb_jump *jump, const int ju
 }
 
 /* The jump of the speeds, (n_u,), for a state before it; `scratch` is of the size n_u + n_l. */
-static inline int fb_speed_jump(fb_problem *p, fb_jump *jump, const double *x, double *of_speeds, double *scratch)
+static inline int fb_speed_jump(fb_problem *p, fb_velocity_jump *jump, const double *x, double *of_speeds,
+                                double *scratch)
 {
     const fb_kernel *const k = p->kernel;
     fb_fill_jump(p, jump, x);
-    fb_take_jump(p, jump, 1);
+    fb_set_jump(p, jump, 1);
     int status = k->accelerations(jump->t_after, x, p->constants, p->inputs, of_speeds, scratch + k->n_u, p->work);
-    fb_take_jump(p, jump, 0);
+    fb_set_jump(p, jump, 0);
     if (status == FB_OK)
         status = k->accelerations(jump->t_after, x, p->constants, p->inputs, scratch, scratch + k->n_u, p->work);
     for (int i = 0; i < k->n_u; ++i)

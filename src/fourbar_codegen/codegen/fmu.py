@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import QUANTITIES, VECTORS
+from fourbar_codegen.roles import QUANTITIES
 
 __all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
 
@@ -58,6 +58,50 @@ class Variable:
     needs_inputs: bool = True
 
 
+@dataclass(frozen=True)
+class Group:
+    """Results that a function of the library evaluates at once.
+
+    Attributes
+    ----------
+    function : str
+        The function's name, after that of the model.
+    results : sequence of tuple
+        Name, description and unit of each; None for those that are not variables.
+    per_argument : int
+        The number of results in each argument of the function.
+    needs_inputs : bool
+        Whether results depend on inputs besides those that prescribe motions.
+    """
+
+    function: str
+    results: Sequence[tuple[str, str, str] | None]
+    per_argument: int
+    needs_inputs: bool = False
+
+
+def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
+    """What an FMU has besides states, parameters and inputs."""
+    without, points = layout.potential_energy.without, list[tuple[str, str, str]]()
+    potential = ("potential energy", f"without {', '.join(without)}" if without else "", "J")
+    for number, point in enumerate(layout.drawing.points):
+        name = point.name or f"point {number}"
+        points += [(f"{name}.{axis}", f"position of {name}", "") for axis in "xyz"]
+    groups = [
+        Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), needs_inputs=True),
+        Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),
+        Group("points", points, len(points)),
+    ]
+    for role, vectors in QUANTITIES.items():
+        results = [
+            (f"{v.name}_{axis}", f"{v.description}, along the axis {axis}", v.unit) if v.name in quantities else None
+            for v in vectors
+            for axis in "xyz"
+        ]
+        groups.append(Group(role.name.lower(), results, 3))
+    return [group for group in groups if group.results]
+
+
 def token_of(layout: Layout) -> str:
     """What ties a binary to its description."""
     return f"{{{layout.fingerprint[:32]}}}"
@@ -72,7 +116,7 @@ def variables_of(layout: Layout, defaults: Sequence[float], quantities: Sequence
     defaults : sequence of float
         Values of the inputs at t = 0, NaN without one.
     quantities : sequence of str, optional
-        Names of those of `VECTORS` whose components are outputs.
+        Names of those of `QUANTITIES` whose components are outputs.
 
     Raises
     ------
@@ -103,25 +147,13 @@ def variables_of(layout: Layout, defaults: Sequence[float], quantities: Sequence
         if entry.order:
             words = ("", "rate of ", "second derivative of ")[entry.order] + entry.of
         add(entry.name, words, "", "input", start=0.0 if value != value else value)
-    for name in layout.outputs:
-        add(name, "", "", "output")
-    for kind in ("kinetic", "potential"):
-        without = layout.potential_energy.without if kind == "potential" else ()
-        words = f"without {', '.join(without)}" if without else ""
-        add(f"{kind} energy", words, "J", "output", needs_inputs=False)
-    unknown = len(found) - 1 if not layout.potential_energy.is_known else None
-    for number, point in enumerate(layout.drawing.points):
-        name = point.name or f"point {number}"
-        for axis in "xyz":
-            add(f"{name}.{axis}", f"position of {name}", "", "output", needs_inputs=False)
-    left_out = {unknown}
-    for quantity in VECTORS:
-        if quantity.name not in quantities:
-            left_out.update(range(len(found), len(found) + 3))
-        for axis in "xyz":
-            words = f"{quantity.description}, along the axis {axis}"
-            add(f"{quantity.name}_{axis}", words, quantity.unit, "output", needs_inputs=False)
-    found = [variable for variable in found if variable.reference not in left_out]
+    groups = _groups(layout, quantities)
+    results = [(result, group.needs_inputs) for group in groups for result in group.results]
+    found += [
+        Variable(reference, *result, "output", needs_inputs=needs_inputs)
+        for reference, (result, needs_inputs) in enumerate(results, len(found))
+        if result is not None
+    ]
     counts = Counter(variable.name for variable in found)
     for variable in found:
         _check(variable)
@@ -291,25 +323,29 @@ def _xml(root: ET.Element) -> str:
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-def _vectors(name: str) -> str:
-    """The function for the vectors of a state, in the order of their variables."""
-    numbers = itertools.count(step=3)
-    calls = [
-        f"    {name}_{role.name.lower()}(model, {', '.join(f'values + {next(numbers)}' for _ in quantities)});"
-        for role, quantities in QUANTITIES.items()
-    ]
+def _results(layout: Layout) -> str:
+    """The groups of results in C, in the order of their variables."""
+    groups, name, cases = _groups(layout), layout.name, ""
+    ends = list(itertools.accumulate(len(group.results) for group in groups))
+    for number, (group, end) in enumerate(zip(groups, ends, strict=True)):
+        places = range(end - len(group.results), end, group.per_argument)
+        call = f"{name}_{group.function}(model, {', '.join(f'results + {place}' for place in places)})"
+        cases += f"    case {number}: "
+        cases += f"return {call};\n" if group.needs_inputs else f"{call}; break;\n"
     return f"""\
-#define FMU_N_VECTORS {len(VECTORS)}
-static void fmu_vectors(struct {name} *model, double *values)
+enum {{ FMU_N_RESULTS = {ends[-1]} }};
+static const int fmu_ends[] = {{{", ".join(map(str, ends))}}}; /* of groups of results that are evaluated at once */
+static int fmu_fill(struct {name} *model, const int group, double *results)
 {{
-{chr(10).join(calls)}
+    switch (group) {{
+{cases}    }}
+    return 0;
 }}"""
 
 
 def fmu_source(fmi: int, layout: Layout) -> str:
     """The source of an FMU besides those of its library."""
     name = layout.name
-    outputs = "#define FB_OUTPUTS\n" if layout.outputs else ""
     has_rates = ", ".join(str(int(not e.order and e.of in layout.has_rates)) for e in layout.inputs) or "0"
     return f"""\
 /* The mechanism "{name}" as an FMU, generated by fourbar_codegen. Do not edit.
@@ -322,8 +358,8 @@ def fmu_source(fmi: int, layout: Layout) -> str:
 static const char fmu_token[] = "{token_of(layout)}";
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
-{_vectors(name)}
+{_results(layout)}
 
 #define FB_MODEL {name}
-{outputs}#include "{FOLDER}fourbar_fmi{fmi}.h"
+#include "{FOLDER}fourbar_fmi{fmi}.h"
 """

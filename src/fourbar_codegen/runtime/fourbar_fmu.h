@@ -1,8 +1,9 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by fourbar_fmi2.h or fourbar_fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, FB_OUTPUTS if there are any, fmu_token and fmu_has_rates. Value references are numbers in
- * this order: time, states, their derivatives, parameters, inputs, outputs, energies, points, vectors.
+ * defines FB_MODEL, fmu_token, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that are evaluated
+ * at once by fmu_fill, and end before the numbers in fmu_ends. Value references are numbers in this order: time,
+ * states, their derivatives, parameters, inputs, results.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
  */
@@ -25,17 +26,12 @@ enum {
     N_X = FB_PUBLIC(n_x),
     N_P = FB_PUBLIC(n_p),
     N_R = FB_PUBLIC(n_r),
-    N_Y = FB_PUBLIC(n_y),
-    N_POINTS = FB_PUBLIC(n_points),
     OF_STATES = 1,
     OF_RATES = OF_STATES + N_X,
     OF_PARAMETERS = OF_RATES + N_X,
     OF_INPUTS = OF_PARAMETERS + N_P,
-    OF_OUTPUTS = OF_INPUTS + N_R,
-    OF_ENERGIES = OF_OUTPUTS + N_Y,
-    OF_POINTS = OF_ENERGIES + 2,
-    OF_VECTORS = OF_POINTS + 3 * N_POINTS,
-    N_VARIABLES = OF_VECTORS + 3 * FMU_N_VECTORS
+    OF_RESULTS = OF_INPUTS + N_R,
+    N_VARIABLES = OF_RESULTS + FMU_N_RESULTS
 };
 
 /* The tolerance of co-simulation unless the importer states one; and the violation of the constraints, relative to
@@ -51,9 +47,6 @@ enum {
 /* The interval of `between`, in fourbar_library.h. */
 void FB_PUBLIC(get_interval)(const struct FB_MODEL *model, double *interval);
 void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval);
-
-/* Groups of values that follow from the state. */
-enum { FMU_RATES = 1, FMU_OUTPUTS = 2, FMU_ENERGIES = 4, FMU_POINTS = 8, FMU_VECTORS = 16 };
 
 enum fmu_mode {
     FMU_INSTANTIATED = 1,
@@ -73,9 +66,8 @@ typedef struct fmu_state {
     int is_open;       /* whether loops are to be closed from the start values, as during initialization */
     double given[N_X]; /* these: independent values and guesses */
     double tolerance, start, stop;
-    int valid; /* the groups of values that are those of the present state */
-    double rates[N_X], outputs[FMU_AT_LEAST_1(N_Y)], energies[2], points[FMU_AT_LEAST_1(3 * N_POINTS)];
-    double vectors[FMU_AT_LEAST_1(3 * FMU_N_VECTORS)];
+    int valid; /* whether the rates are those of the present state, in bit 0; each group of results, in the next ones */
+    double rates[N_X], results[FMU_N_RESULTS];
 } fmu_state;
 
 typedef struct fmu {
@@ -188,33 +180,36 @@ static int fmu_close(fmu *f)
     return 1;
 }
 
-/* Evaluates a group of values. An output may be infinite or not a number: that is a value, too. */
-static int fmu_evaluate(fmu *f, const int group)
+/* Evaluates the derivatives of the states. */
+static int fmu_evaluate_rates(fmu *f)
 {
     fmu_state *const s = &f->state;
     struct FB_MODEL *const m = &s->model;
     if (!fmu_close(f))
         return 0;
-    if (s->valid & group)
-        return 1;
-    if (group == FMU_RATES && !fmu_check(f, FB_PUBLIC(rhs)(m, m->t, m->x, s->rates)))
+    if (!(s->valid & 1) && !fmu_check(f, FB_PUBLIC(rhs)(m, m->t, m->x, s->rates)))
         return 0;
-#ifdef FB_OUTPUTS
-    if (group == FMU_OUTPUTS) {
-        for (int i = 0; i < N_Y; ++i)
-            s->outputs[i] = NAN;
-        const int status = FB_PUBLIC(outputs)(m, s->outputs);
-        if (status != 0 && status != FB_PUBLIC(not_finite))
-            return fmu_check(f, status);
-    }
-#endif
-    if (group == FMU_ENERGIES)
-        FB_PUBLIC(energies)(m, s->energies, s->energies + 1);
-    if (group == FMU_POINTS)
-        FB_PUBLIC(points)(m, s->points);
-    if (group == FMU_VECTORS)
-        fmu_vectors(m, s->vectors);
-    s->valid |= group;
+    s->valid |= 1;
+    return 1;
+}
+
+/* Evaluates a result, with its group. It may be infinite or not a number: that is a value, too. */
+static int fmu_evaluate_result(fmu *f, const int number)
+{
+    fmu_state *const s = &f->state;
+    int group = 0;
+    while (number >= fmu_ends[group])
+        ++group;
+    if (!fmu_close(f))
+        return 0;
+    if (s->valid & (2 << group))
+        return 1;
+    for (int i = group ? fmu_ends[group - 1] : 0; i < fmu_ends[group]; ++i)
+        s->results[i] = NAN;
+    const int status = fmu_fill(&s->model, group, s->results);
+    if (status != 0 && status != FB_PUBLIC(not_finite))
+        return fmu_check(f, status);
+    s->valid |= 2 << group;
     return 1;
 }
 
@@ -233,22 +228,18 @@ static int fmu_get(fmu *f, const unsigned *references, const size_t n, double *v
             values[i] = s->model.x[v - OF_STATES];
         } else if (v >= OF_PARAMETERS && v < OF_INPUTS)
             values[i] = s->model.p[v - OF_PARAMETERS];
-        else if (v >= OF_INPUTS && v < OF_OUTPUTS) {
+        else if (v >= OF_INPUTS && v < OF_RESULTS) {
             if (s->is_open)
                 FB_PUBLIC(update)(&s->model); /* its expression may contain parameters */
             values[i] = FB_PUBLIC(input)(&s->model, (int)(v - OF_INPUTS));
-        } else {
-            if (!fmu_evaluate(f, v < OF_PARAMETERS ? FMU_RATES
-                                 : v < OF_ENERGIES ? FMU_OUTPUTS
-                                 : v < OF_POINTS   ? FMU_ENERGIES
-                                 : v < OF_VECTORS  ? FMU_POINTS
-                                                   : FMU_VECTORS))
+        } else if (v < OF_PARAMETERS) {
+            if (!fmu_evaluate_rates(f))
                 return 0;
-            values[i] = v < OF_PARAMETERS ? s->rates[v - OF_RATES]
-                        : v < OF_ENERGIES ? s->outputs[v - OF_OUTPUTS]
-                        : v < OF_POINTS   ? s->energies[v - OF_ENERGIES]
-                        : v < OF_VECTORS  ? s->points[v - OF_POINTS]
-                                          : s->vectors[v - OF_VECTORS];
+            values[i] = s->rates[v - OF_RATES];
+        } else {
+            if (!fmu_evaluate_result(f, (int)(v - OF_RESULTS)))
+                return 0;
+            values[i] = s->results[v - OF_RESULTS];
         }
     }
     return 1;
@@ -264,7 +255,7 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
             return fmu_fail(f, "There is no real variable with the value reference %u.", v);
         if (!isfinite(values[i]))
             return fmu_fail(f, "The variable with the value reference %u cannot be %g.", v, values[i]);
-        if (v >= OF_INPUTS && v < OF_OUTPUTS) {
+        if (v >= OF_INPUTS && v < OF_RESULTS) {
             const int number = (int)(v - OF_INPUTS);
             s->model.r[number] = values[i];
             s->model.held[number] = 1;
@@ -291,7 +282,7 @@ static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, co
 {
     struct FB_MODEL *const m = &f->state.model;
     for (size_t i = 0; i < n; ++i) {
-        if (references[i] < OF_INPUTS || references[i] >= OF_OUTPUTS)
+        if (references[i] < OF_INPUTS || references[i] >= OF_RESULTS)
             return fmu_fail(f, "The variable with the value reference %u is no input.", references[i]);
         if (orders[i] != 1 || !isfinite(values[i]))
             return fmu_fail(f, "An input has a finite derivative of order 1, not %g of order %d.", values[i],
@@ -357,17 +348,17 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
     for (size_t j = 0; j < n_knowns; ++j) {
         const int is_state = knowns[j] >= OF_STATES && knowns[j] < OF_RATES;
         const int is_parameter = knowns[j] >= OF_PARAMETERS && knowns[j] < OF_INPUTS;
-        const int is_input = knowns[j] >= OF_INPUTS && knowns[j] < OF_OUTPUTS;
+        const int is_input = knowns[j] >= OF_INPUTS && knowns[j] < OF_RESULTS;
         if (!is_state && !is_input && !(begins && is_parameter))
             return fmu_fail(f, "There is no derivative with respect to the variable with the value reference %u.",
                             knowns[j]);
     }
     for (size_t i = 0; i < n_unknowns; ++i) {
         const unsigned u = unknowns[i];
-        if (u < OF_STATES || u >= N_VARIABLES || (u >= OF_PARAMETERS && u < OF_OUTPUTS))
+        if (u < OF_STATES || u >= N_VARIABLES || (u >= OF_PARAMETERS && u < OF_RESULTS))
             return fmu_fail(f, "There is no derivative of the variable with the value reference %u.", u);
         result[i] = 0.0;
-        if (begins || u >= OF_OUTPUTS) {
+        if (begins || u >= OF_RESULTS) {
             if (!fmu_difference(f, u, knowns, n_knowns, seed, result + i))
                 return 0;
             continue;
@@ -452,7 +443,7 @@ static int fmu_begin(fmu *f, const double t, const int has_tolerance, const doub
 /* The derivatives of the states alone: an integrator asks for these often. */
 static int fmu_rates(fmu *f, double *rates)
 {
-    if (!fmu_evaluate(f, FMU_RATES))
+    if (!fmu_evaluate_rates(f))
         return 0;
     memcpy(rates, f->state.rates, N_X * sizeof *rates);
     return 1;

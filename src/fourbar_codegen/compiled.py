@@ -528,7 +528,7 @@ class CompiledModel(Kernel):
         """
         from fourbar_codegen.analysis.branches import kinematics
 
-        return kinematics(self, drive, rates, accelerations, parameters, inputs, t)
+        return kinematics(self, drive, rates, accelerations, t=t, parameters=parameters, inputs=inputs)
 
     def inverse_dynamics(
         self,

@@ -254,7 +254,9 @@ def fit(
     if max_nfev is not None and (not is_integer(max_nfev) or max_nfev < 1):
         raise ModelError(f"max_nfev must be a positive integer or None, not {shown(max_nfev)}.")
     experiments = _experiments(data)
-    problem = _Problem.of(model, experiments, parameters, outputs, sigma, method, rtol, atol, constraints)
+    problem = _Problem.of(
+        model, experiments, parameters, outputs, sigma, method=method, rtol=rtol, atol=atol, constraints=constraints
+    )
     low, high = _bounds(problem, bounds)
     begin = time.monotonic()
     first = problem.simulated(problem.guess)
@@ -400,6 +402,7 @@ class _Problem:
         unknowns: Any,
         outputs: Sequence[Any] | None,
         sigma: Mapping[Any, ArrayLike] | None,
+        *,
         method: str,
         rtol: float,
         atol: float,

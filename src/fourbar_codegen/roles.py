@@ -161,7 +161,6 @@ class Quantity:
     Attributes
     ----------
     name : str
-        Its components in tables have this name with ``_x``, ``_y`` and ``_z``.
     unit : str
     description : str
     """
@@ -169,6 +168,11 @@ class Quantity:
     name: str
     unit: str
     description: str
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """The names of its components."""
+        return tuple(f"{self.name}_{axis}" for axis in "xyz")
 
 
 QUANTITIES = {

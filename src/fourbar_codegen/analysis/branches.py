@@ -72,12 +72,13 @@ def kinematics(
     drive: Mapping[Any, Any],
     rates: Mapping[Any, ArrayLike] | None,
     accelerations: Mapping[Any, ArrayLike] | None,
+    *,
+    t: float,
     parameters: Values | None,
     inputs: Mapping[Any, float] | None,
-    t: float,
 ) -> Kinematics:
     """Positions and motions along a drive; see `CompiledModel.kinematics`."""
-    path = read_drive(model, drive, rates, accelerations, parameters, inputs, t)
+    path = read_drive(model, drive, rates, accelerations, t=t, parameters=parameters, inputs=inputs)
     if (left := model.n_q - len(path.coordinates)) > model.n_h:
         raise ModelError(
             f"A degree of freedom is left: with {', '.join(path.names)} held, {left} coordinates and {model.n_h} "

@@ -128,9 +128,10 @@ def read_drive(
     drive: Mapping[Any, Any],
     rates: Mapping[Any, ArrayLike] | None,
     accelerations: Mapping[Any, ArrayLike] | None,
+    *,
+    t: float,
     parameters: Values | None,
     inputs: Mapping[Any, float] | None,
-    t: float,
 ) -> Drive:
     """The arguments of `CompiledModel.kinematics`, checked, with coordinates before inputs."""
     if model.n_c > len([row for row in model.layout.constraints.position_rows if row is not None]):

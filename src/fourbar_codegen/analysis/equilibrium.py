@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,6 @@ def equilibrium(
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
     """A state of static equilibrium; see `CompiledModel.equilibrium`."""
-    from scipy.optimize import least_squares
-
     if not model.n_q:
         raise ModelError(f"The model {model.name} has no coordinates, so it has no equilibrium to search for.")
     if model.layout.n_independent_coordinates > model.n_u:
@@ -58,40 +57,11 @@ def equilibrium(
         raise ModelError(
             "An equilibrium can be searched with inputs that are numbers, tables or expressions, not callables."
         )
-    names, n_q, last = (*model.coordinates, *model.auxiliary_states), model.n_q, model.n_q + model.n_u
+    names, n_q = (*model.coordinates, *model.auxiliary_states), model.n_q
     defaults = {**dict.fromkeys(names, 0.0), **model.layout.initial}
     start = named_array(guess, names, {n: defaults[n] for n in names}, "coordinate or auxiliary state")
     p = model.parameter_vector(parameters)
     r = bind(model, p, inputs).input_values(t, np.zeros(model.n_x))
-
-    def at_rest(unknown: Floats) -> Floats:
-        return np.concatenate((unknown[:n_q], np.zeros(model.n_u), unknown[n_q:]))
-
-    def evaluated(unknown: Floats) -> Floats:
-        x = at_rest(unknown)
-        rates, accelerations, state_rates = np.split(model.rhs(t, x, p, r), [n_q, last])
-        loops, velocities = model.position_constraints(t, x[:n_q], p, r) / size, model.velocity_constraints(t, x, p, r)
-        return np.concatenate((loops, velocities, rates, weights @ accelerations, state_rates))
-
-    def residual(unknown: Floats) -> Floats:
-        try:
-            return evaluated(unknown)
-        except SimulationError:  # the search takes a shorter step
-            return np.full(model.n_h + model.n_c + model.n_x, np.inf)
-
-    def slopes(unknown: Floats) -> Floats:
-        x = at_rest(unknown)
-        wrt_state = np.delete(model.jacobian(t, x, p, r), slice(n_q, last), axis=1)
-        rates, accelerations, state_rates = np.split(wrt_state, [n_q, last])
-        constraints = np.vstack(
-            (
-                model.position(t, x[:n_q], p, r)[1] / size[:, np.newaxis],
-                model.constraint_partials(t, x, p, r)[0],
-            )
-        )
-        constraints = np.hstack((constraints, np.zeros((len(constraints), model.n_z))))
-        return np.vstack((constraints, rates, weights @ accelerations, state_rates))
-
     begin = start
     if model.n_h and model.layout.n_dependent_speeds < model.n_c:
         # Where loops are open, redundant constraints are independent, and the equations have no solution.
@@ -99,38 +69,11 @@ def equilibrium(
         loops = Loops(model, t, start[:n_qi], p, r)
         dependent = loops.search(start[n_qi:n_q])
         begin = start if dependent is None else np.concatenate((loops.coordinates(dependent), start[n_q:]))
-    # Scales that do not depend on the units of length, mass and time: loops relative to their terms, accelerations in
-    # the metric of the mass matrix, relative to their norm at the start of the search.
-    size, *_ = model.constraint_scale(t, at_rest(begin), p, r)
-    size[~(size > 0.0)] = 1.0
-    angles = np.array([name in model.layout.angles for name in model.coordinates], dtype=bool)
-    # A displacement's own value may be nearly zero, and components of quaternions have no length.
-    displacement = np.abs(begin[:n_q][~angles]).max(initial=mechanism_size(model, t, begin[:n_q], p, r))
-    units = np.concatenate((np.where(angles, 1.0, displacement), np.abs(begin[n_q:]) + (begin[n_q:] == 0.0)))
-    masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, at_rest(begin), p))
-    weights = np.sqrt(np.maximum(masses, MIN_MASS_RATIO * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
-    weights /= np.linalg.norm(weights @ model.rhs(t, at_rest(begin), p, r)[n_q:last]) or 1.0
-
-    def search(unknown: Floats) -> tuple[Floats, Floats, bool]:
-        """The end of a search, what is left there, and whether it is an equilibrium."""
-        # In changes relative to the units, so that the first step is a radian at most, and later ones twice the last.
-        # Where accelerations do not depend on an angle to first order, a Newton step may be millions of turns.
-        change = least_squares(
-            lambda y: residual(unknown + units * y),
-            np.zeros_like(unknown),
-            jac=lambda y: slopes(unknown + units * y) * units,
-            xtol=1e-15,
-            ftol=1e-15,
-            gtol=1e-15,
-        ).x
-        end = unknown + units * change
-        errors, scales = np.abs(residual(end)), np.abs(slopes(end)) @ np.abs(end)
-        return end, errors, bool((errors <= EQUILIBRIUM_RTOL * np.maximum(scales, 1.0)).all())
-
-    found, errors, is_at_rest = search(begin)
+    equations = _AtRest.near(model, t, begin, p, r)
+    found, errors, is_at_rest = equations.solve(begin)
     for position in () if is_at_rest else (found, begin):
-        lower = _downhill(model, t, position, units[:n_q], p, r)
-        settled, _, is_at_rest = search(found if lower is None else lower)
+        lower = _downhill(model, t, position, equations.units[:n_q], p, r)
+        settled, _, is_at_rest = equations.solve(found if lower is None else lower)
         if is_at_rest:
             found = settled
             break
@@ -141,7 +84,94 @@ def equilibrium(
             f"{errors.max():.3g} is left of the scales of constraints and rates, and the way downhill from there leads "
             "to none. Give another guess, or inputs that hold the mechanism."
         )
-    return at_rest(found)
+    return _state_at_rest(model, found)
+
+
+def _state_at_rest(model: Kernel, unknown: Floats) -> Floats:
+    """The state with these coordinates and auxiliary states, and speeds of zero."""
+    return np.concatenate((unknown[: model.n_q], np.zeros(model.n_u), unknown[model.n_q :]))
+
+
+@dataclass(frozen=True)
+class _AtRest:
+    """The equations of a state at rest, in scales that do not depend on the units of length, mass and time.
+
+    Attributes
+    ----------
+    model : Kernel
+    t : float
+    p, r : ndarray
+    size : ndarray, shape (n_h,)
+        Loops are relative to their terms.
+    weights : ndarray, shape (n_u, n_u)
+        Accelerations are in the metric of the mass matrix, relative to their norm at the start of the search.
+    units : ndarray, shape (n_q + n_z,)
+        Of the unknowns: coordinates, then auxiliary states.
+    """
+
+    model: Kernel
+    t: float
+    p: Floats | None
+    r: Floats | None
+    size: Floats
+    weights: Floats
+    units: Floats
+
+    @classmethod
+    def near(cls, model: Kernel, t: float, begin: Floats, p: Floats | None, r: Floats | None) -> _AtRest:
+        """The equations with the scales of a position."""
+        n_q, last, x = model.n_q, model.n_q + model.n_u, _state_at_rest(model, begin)
+        size, *_ = model.constraint_scale(t, x, p, r)
+        size[~(size > 0.0)] = 1.0
+        angles = np.array([name in model.layout.angles for name in model.coordinates], dtype=bool)
+        # A displacement's own value may be nearly zero, and components of quaternions have no length.
+        displacement = np.abs(begin[:n_q][~angles]).max(initial=mechanism_size(model, t, begin[:n_q], p, r))
+        units = np.concatenate((np.where(angles, 1.0, displacement), np.abs(begin[n_q:]) + (begin[n_q:] == 0.0)))
+        masses, axes = np.linalg.eigh(model.tree_mass_matrix(t, x, p))
+        weights = np.sqrt(np.maximum(masses, MIN_MASS_RATIO * masses.max(initial=0.0)))[:, np.newaxis] * axes.T
+        weights /= np.linalg.norm(weights @ model.rhs(t, x, p, r)[n_q:last]) or 1.0
+        return cls(model, t, p, r, size, weights, units)
+
+    def residual(self, unknown: Floats) -> Floats:
+        """What is left of the equations; infinite where they cannot be evaluated, so that a search steps shorter."""
+        model, t, p, r = self.model, self.t, self.p, self.r
+        x = _state_at_rest(model, unknown)
+        try:
+            rates, accelerations, state_rates = np.split(model.rhs(t, x, p, r), [model.n_q, model.n_q + model.n_u])
+            loops = model.position_constraints(t, x[: model.n_q], p, r) / self.size
+            velocities = model.velocity_constraints(t, x, p, r)
+        except SimulationError:
+            return np.full(model.n_h + model.n_c + model.n_x, np.inf)
+        return np.concatenate((loops, velocities, rates, self.weights @ accelerations, state_rates))
+
+    def slopes(self, unknown: Floats) -> Floats:
+        """The derivatives of the residual with respect to the unknowns."""
+        model, t, p, r = self.model, self.t, self.p, self.r
+        x, n_q, last = _state_at_rest(model, unknown), model.n_q, model.n_q + model.n_u
+        wrt_state = np.delete(model.jacobian(t, x, p, r), slice(n_q, last), axis=1)
+        rates, accelerations, state_rates = np.split(wrt_state, [n_q, last])
+        loops = model.position(t, x[:n_q], p, r)[1] / self.size[:, np.newaxis]
+        constraints = np.vstack((loops, model.constraint_partials(t, x, p, r)[0]))
+        constraints = np.hstack((constraints, np.zeros((len(constraints), model.n_z))))
+        return np.vstack((constraints, rates, self.weights @ accelerations, state_rates))
+
+    def solve(self, unknown: Floats) -> tuple[Floats, Floats, bool]:
+        """The end of a search, what is left there, and whether it is an equilibrium."""
+        from scipy.optimize import least_squares
+
+        # In changes relative to the units, so that the first step is a radian at most, and later ones twice the last.
+        # Where accelerations do not depend on an angle to first order, a Newton step may be millions of turns.
+        change = least_squares(
+            lambda y: self.residual(unknown + self.units * y),
+            np.zeros_like(unknown),
+            jac=lambda y: self.slopes(unknown + self.units * y) * self.units,
+            xtol=1e-15,
+            ftol=1e-15,
+            gtol=1e-15,
+        ).x
+        end = unknown + self.units * change
+        errors, scales = np.abs(self.residual(end)), np.abs(self.slopes(end)) @ np.abs(end)
+        return end, errors, bool((errors <= EQUILIBRIUM_RTOL * np.maximum(scales, 1.0)).all())
 
 
 def _downhill(

@@ -65,7 +65,7 @@ def initial_state(
     auxiliary_states: Values | None = None,
 ) -> Floats:
     """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
-    loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters, inputs)
+    loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters=parameters, inputs=inputs)
     if coordinates is not None:
         _warn_of_degrees(model, loops.q_i)
     limits = _limits(bounds, model.coordinates[len(loops.q_i) :])
@@ -167,7 +167,7 @@ def initial_states(
     """All states with these independent values; see `CompiledModel.initial_states`."""
     from fourbar_codegen.analysis.assembly_modes import AssemblyModes, closed_coordinates
 
-    loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters, inputs)
+    loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters=parameters, inputs=inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:
         found, is_complete, free = closed_coordinates(loops, start, progress) if model.n_h else ([start], True, ())
     z = _auxiliary_values(model, auxiliary_states)
@@ -206,6 +206,7 @@ def _given(
     speeds: Values | None,
     t: float,
     guess: Values | None,
+    *,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Loops, Floats, Floats]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,6 +12,7 @@ from fourbar_codegen.building.library import PARTS
 from fourbar_codegen.building.toolchain import compile_wasm, digest_of, wasm_toolchain
 from fourbar_codegen.definitions import definitions_text
 from fourbar_codegen.layout import Layout
+from fourbar_codegen.roles import QUANTITIES, VECTORS
 
 __all__ = ["SOURCES", "page_module", "page_source"]
 
@@ -53,6 +55,15 @@ def page_module(name: str, sources: Mapping[str, str], layout: Layout) -> bytes:
     return cached(f"{name}_page", digest_of([texts, wasm_toolchain()]), build).read_bytes()
 
 
+def _vectors() -> str:
+    """Calls of the kernel's functions of a state whose results are vectors."""
+    text, places = "", itertools.count(step=3)
+    for role, quantities in QUANTITIES.items():
+        results = ", ".join(f"values + {next(places)}" for _ in quantities)
+        text += f"    {role.name.lower()}(t, x, constants, r, {results});\n"
+    return text
+
+
 def page_source(name: str, layout: Layout) -> str:
     """The source that puts a kernel, its drawing and runs of it together."""
     rows = layout.constraints.velocity_rows
@@ -64,6 +75,12 @@ def page_source(name: str, layout: Layout) -> str:
 {definitions_text(layout)}
 enum {{ N_VELOCITY_ROWS = {len(rows)} }};
 static const int velocity_rows[] = {{{", ".join(map(str, rows or [0]))}}}; /* of constraints that keep no position */
+
+enum {{ N_VECTORS = {len(VECTORS)} }};
+/* The vectors of a state, three numbers each. */
+static void fill_vectors(double t, const double *x, const double *constants, const double *r, double *values)
+{{
+{_vectors()}}}
 
 #define FB_MODEL fb_page
 #include "fourbar_page.h"

@@ -180,6 +180,7 @@ def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
 @click.option("--plot", "plotted", multiple=True, metavar="NAME",
               help="What a .png shows: a state, input or output, energy, lambda1, ...; may be repeated.")  # fmt: skip
 def sweep(
+    *,
     samples: int,
     outputs: tuple[Path, ...],
     plotted: tuple[str, ...],

@@ -281,7 +281,9 @@ def derivatives_text(
         If an expression has no counterpart in C99.
     """
     about = "Derivatives of the equations of motion of the model {name}, and data for drawings"
-    return _table_text(f"{name}_derivatives", about, name, derivatives, names, folder, before, after)
+    return _table_text(
+        f"{name}_derivatives", about, name, derivatives, names, folder=folder, before=before, after=after
+    )
 
 
 def products_text(name: str, products: Sequence[ScheduledFunction], names: Mapping[str, Sequence[str]]) -> str:
@@ -300,6 +302,7 @@ def _table_text(
     name: str,
     scheduled: Sequence[ScheduledFunction],
     names: Mapping[str, Sequence[str]],
+    *,
     folder: str = "",
     before: str = "",
     after: str = "",

@@ -94,9 +94,11 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
     ]
     for role, vectors in QUANTITIES.items():
         results = [
-            (f"{v.name}_{axis}", f"{v.description}, along the axis {axis}", v.unit) if v.name in quantities else None
-            for v in vectors
-            for axis in "xyz"
+            (name, f"{vector.description}, along the axis {name[-1]}", vector.unit)
+            if vector.name in quantities
+            else None
+            for vector in vectors
+            for name in vector.components
         ]
         groups.append(Group(role.name.lower(), results, 3))
     return [group for group in groups if group.results]

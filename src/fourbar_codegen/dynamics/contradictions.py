@@ -60,6 +60,7 @@ def find_contradictions(
     rate: Jvp,
     total_rate: Jvp,
     convert: Conversion,
+    *,
     speeds: Sequence[Scalar],
     accelerations: Sequence[Scalar],
     values: Mapping[Scalar, float],

@@ -84,6 +84,7 @@ def form_corrections(
     constraints: Constraints,
     q: Sequence[Scalar],
     u: Sequence[Scalar],
+    *,
     rounding: Rounding,
     values: Mapping[Scalar, float],
     expressions: Sequence[sm.Expr],

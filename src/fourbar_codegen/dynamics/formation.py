@@ -103,7 +103,13 @@ def form_equations(model: Model) -> Equations:
     energy = _energy(m, kane, solved)
     rounding = Rounding(m.tape)
     corrections = form_corrections(
-        m.tape, solved.constraints, m.v.q, m.v.u, rounding, solved.values, model.mechanism.holonomic_constraints
+        m.tape,
+        solved.constraints,
+        m.v.q,
+        m.v.u,
+        rounding=rounding,
+        values=solved.values,
+        expressions=model.mechanism.holonomic_constraints,
     )
     warnings = _contradictions(m, kane, solved)
     drawing = _drawing(m)
@@ -262,7 +268,7 @@ def _motion(model: Model) -> _Motion:
 def _kanes_equations(m: _Motion) -> _KanesEquations:
     model, tape, v = m.model, m.tape, m.v
     reactions = [leaf for f, leaf in zip(model.noncontributing, v.unknown, strict=True) if f in (model.reactions or ())]
-    kane = Kane(tape, m.kinematics, m.virtual, v.u, v.aux, m.rate, reactions)
+    kane = Kane(tape, m.kinematics, m.virtual, v.u, v.aux, m.rate, reactions=reactions)
     kane.use_poisson_rates([m.rate, m.total_rate])
     mass_matrix = kane.mass_matrix()
     # f, and f - M u' with the rows of the auxiliary speeds last.
@@ -294,7 +300,9 @@ def _solved(m: _Motion, kane: _KanesEquations) -> _Solved:
     reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
     dynamic = [row + reaction for row, reaction in zip(kane.balance[: len(v.u)], reactions, strict=False)]
     kinematic = [-m.total_rate(expr) for expr in constraints.velocities]
-    forces = form_unknown_forces(tape, model, v.unknown, v.a, constraints, kane.generalized, reactions)
+    forces = form_unknown_forces(
+        tape, model, v.unknown, v.a, constraints, generalized=kane.generalized, reactions=reactions
+    )
     # From here on, unknown forces that do not drive the motion are replaced by their solution.
     leaves.update(zip(model.noncontributing, forces.values, strict=False))
     dynamic = [row + force for row, force in zip(dynamic, forces.effect, strict=True)]
@@ -324,12 +332,12 @@ def _energy(m: _Motion, kane: _KanesEquations, solved: _Solved) -> Energy:
         potential = find_potential(
             m.kinematics,
             m.rate,
-            v.q,
-            v.u,
-            v.z,
-            (v.time, *v.r, *v.a, *solved.multipliers, *v.unknown),
-            _input_rates(m.model, v).values(),
-            lambda terms, number: islice(solved.states(terms).moving(v.u, v.a), number),
+            coordinates=v.q,
+            speeds=v.u,
+            auxiliary_states=v.z,
+            others=(v.time, *v.r, *v.a, *solved.multipliers, *v.unknown),
+            input_rates=_input_rates(m.model, v).values(),
+            motions=lambda terms, number: islice(solved.states(terms).moving(v.u, v.a), number),
         )
     energies = vector("energies", [kane.kane.kinetic_energy(), potential.energy])
     return Energy(energies, potential.without, vector("power", [kane.generalized.power]))
@@ -351,11 +359,11 @@ def _contradictions(m: _Motion, kane: _KanesEquations, solved: _Solved) -> tuple
         m.rate,
         m.total_rate,
         with_rates,
-        v.u,
-        v.a,
-        solved.values,
-        kane.not_orthonormal,
-        lambda: _default_motions(m.model, v, solved.convert),
+        speeds=v.u,
+        accelerations=v.a,
+        values=solved.values,
+        not_orthonormal=kane.not_orthonormal,
+        motions=lambda: _default_motions(m.model, v, solved.convert),
     )
     if m.model.reactions is None and v.unknown:
         warnings += find_forces_at_moving_points(
@@ -530,8 +538,15 @@ def check_velocity_constraints(model: Model) -> None:
     leaves, _, rate, _ = _rates(tape, model, v)
     convert = Conversion(tape, leaves)
     constraints = form_constraints(tape, mechanism, convert, convert, v.q, v.u, (), rate, ())
-    values, expressions = _values(model, v), mechanism.holonomic_constraints
-    form_corrections(tape, constraints, v.q, v.u, Rounding(tape), values, expressions)
+    form_corrections(
+        tape,
+        constraints,
+        v.q,
+        v.u,
+        rounding=Rounding(tape),
+        values=_values(model, v),
+        expressions=mechanism.holonomic_constraints,
+    )
 
 
 def _leaves_of(tape: Tape, model: Model) -> _Leaves:

@@ -100,6 +100,7 @@ class Kane:
         speeds: Sequence[Scalar],
         auxiliary: Sequence[Scalar],
         rate: Jvp,
+        *,
         reactions: Sequence[Scalar] = (),
     ) -> None:
         self.tape = tape

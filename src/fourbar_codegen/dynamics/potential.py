@@ -98,6 +98,7 @@ Motions = Callable[[Sequence[Scalar], int], Iterable[Floats]]
 def find_potential(
     kinematics: Kinematics,
     rate: Jvp,
+    *,
     coordinates: Sequence[Scalar],
     speeds: Sequence[Scalar],
     auxiliary_states: Sequence[Scalar],

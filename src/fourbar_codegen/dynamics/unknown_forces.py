@@ -255,6 +255,7 @@ def form_unknown_forces(
     unknown: tuple[Scalar, ...],
     accelerations: Sequence[Scalar],
     constraints: Constraints,
+    *,
     generalized: GeneralizedForces,
     reactions: Sequence[Scalar],
 ) -> UnknownForces:

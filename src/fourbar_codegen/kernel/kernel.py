@@ -106,7 +106,7 @@ class Kernel(Functions):
 
     def __reduce__(self) -> tuple[Any, ...]:
         path = str(self.path) if self.is_portable else None
-        return _restore, (type(self), self.name, path, self.layout, self._sources(), self.compares, self._later)
+        return _restore, (type(self), path, self.layout, self._sources(), self.compares, self._later)
 
     def _sources(self) -> dict[str, str] | None:
         """The sources: those beside a library when it was loaded, or those that are beside a module now.
@@ -659,22 +659,20 @@ def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
 
 def _restore(
     kind: type[Kernel],
-    name: str,
     path: str | None,
     layout: Layout,
     sources: Mapping[str, str] | None,
-    compares: bool = True,
-    later: bytes | None = None,
+    compares: bool,
+    later: bytes | None,
 ) -> Kernel:
     """A model from another process, possibly on another machine, whose later parts are compared or not."""
-    model = _found(kind, name, path, layout, sources, later)
+    model = _found(kind, path, layout, sources, later)
     model.compares = compares
     return model
 
 
 def _found(
     kind: type[Kernel],
-    name: str,
     path: str | None,
     layout: Layout,
     sources: Mapping[str, str] | None,
@@ -692,13 +690,13 @@ def _found(
             if model.layout == layout:
                 return model
     with suppress(ModelError):
-        found = kind.find(name, layout.fingerprint)
+        found = kind.find(layout.name, layout.fingerprint)
         if found is not None and found.layout == layout:
             return found
     if sources is None:
         raise ModelError(
-            f"The model {name} that was sent is not found here, or only a different one of its name, and its sources "
-            "were not beside it, or are those of a later build. Install its wheel, or send the module of build_model "
-            "from the folder that has its sources."
+            f"The model {layout.name} that was sent is not found here, or only a different one of its name, and its "
+            "sources were not beside it, or are those of a later build. Install its wheel, or send the module of "
+            "build_model from the folder that has its sources."
         )
-    return kind.from_loaded(load_from_sources(name, sources, layout, later))
+    return kind.from_loaded(load_from_sources(layout.name, sources, layout, later))

@@ -271,21 +271,11 @@ class Model:
         lines: Sequence[Sequence[Point | str]] = (),
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
-        if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise ModelError(f"A model's name is letters, digits and underscores, a letter first, not {name!r}.")
-        if keyword.iskeyword(name) or name in IMPORTED:
-            raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
+        _check_model_name(name)
         self.system = system
         self.name = name
-        parameters = _mapping(parameters, "parameters")
-        numbers = {key for key, v in parameters.items() if _is_number(getattr(v, "value", v))}
-        outputs = _mapping(outputs, "outputs")
-        for key in outputs:
-            if not isinstance(getattr(key, "name", key), str) or not name_of(key):
-                raise ModelError(f"outputs= is a mapping from names to expressions, and {shown(key)} is no name.")
-        taken = set(map(name_of, outputs))
-        drawing = {key for key in numbers if isinstance(key, sm.Symbol | str) and name_of(key) not in taken}
-        self.mechanism: Mechanism = read_mechanism(system, points, lines, drawing)
+        parameters, outputs = _mapping(parameters, "parameters"), _mapping(outputs, "outputs")
+        self.mechanism: Mechanism = read_mechanism(system, points, lines, _known_numbers(parameters, outputs))
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
@@ -294,13 +284,7 @@ class Model:
         self.potential_energy = None if potential_energy is None else _expression(potential_energy, "potential_energy")
         self.output_expressions = {name_of(key): _expression(e, f"output {name_of(key)}") for key, e in outputs.items()}
         if not is_automatic:
-            functions = {_name(function): function for function in self._functions()}
-            self.input_expressions = self._read_inputs(
-                _by_symbol(_mapping(inputs, "inputs"), functions, self.mechanism.time)
-            )
-            known, appearing = {*self._states(), *self.input_expressions}, self._functions()
-            driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
-            self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
+            self._read_inputs(_mapping(inputs, "inputs"))
         values = (getattr(value, "value", value) for value in parameters.values())
         others = {symbol.name: symbol for value in values for symbol in getattr(value, "free_symbols", ())}
         parameters = _by_symbol(parameters, others | self._symbols())
@@ -309,14 +293,7 @@ class Model:
         self._check_appearance(extra)
         undeclared = self._find_undeclared()
         if is_automatic:
-            # Users who keep all constants in one mapping may have numbers for some inputs there.
-            given = {f: getattr(parameters.get(f, 0), "value", parameters.get(f, 0)) for f in undeclared}
-            self.input_expressions = {
-                f: None if value is None else _expression(value, f"the input {f}") for f, value in given.items()
-            }
-            functions = {_name(f): f for f in parameters if isinstance(f, AppliedUndef)}
-            _check_unknown(functions, {_name(f): f for f in undeclared}, "parameters", extra)
-            parameters = {key: value for key, value in parameters.items() if not isinstance(key, AppliedUndef)}
+            parameters = self._find_inputs(undeclared, parameters, extra)
         elif undeclared:
             raise ModelError(self._neither(undeclared))
         self.input_entries = self._list_inputs()
@@ -399,11 +376,30 @@ class Model:
             _check_expressions([expression], f"the state equation of {_name(function)}")
         return {**own, **given}
 
-    def _read_inputs(self, inputs: Mapping[sm.Expr, sm.Expr | float | None]) -> dict[sm.Expr, sm.Expr | None]:
+    def _read_inputs(self, given: Mapping[Any, sm.Expr | float | None]) -> None:
+        """Take the inputs that are named, and motions in the System that appear, which are zero."""
+        named = {_name(function): function for function in self._functions()}
+        inputs = _by_symbol(given, named, self.mechanism.time)
         for function in inputs:
             if not isinstance(function, AppliedUndef) or function.args != (self.mechanism.time,):
                 raise ModelError(f"inputs= has functions of {self.mechanism.time} as keys, not {function!r}.")
-        return {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
+        self.input_expressions = {f: None if e is None else _expression(e, f"the input {f}") for f, e in inputs.items()}
+        known, appearing = {*self._states(), *self.input_expressions}, self._functions()
+        driving = [f for f in self.mechanism.excitations if f in appearing and f not in known]
+        self.input_expressions.update(dict.fromkeys(driving, sm.S.Zero))
+
+    def _find_inputs(self, undeclared: Iterable[sm.Expr], parameters: Mapping[Any, Any], extra: str) -> dict[Any, Any]:
+        """Take all functions that are not declared for inputs; returns the parameters that are none.
+
+        Users who keep all constants in one mapping may have numbers for some inputs there.
+        """
+        given = {f: getattr(parameters.get(f, 0), "value", parameters.get(f, 0)) for f in undeclared}
+        self.input_expressions = {
+            f: None if value is None else _expression(value, f"the input {f}") for f, value in given.items()
+        }
+        functions = {_name(f): f for f in parameters if isinstance(f, AppliedUndef)}
+        _check_unknown(functions, {_name(f): f for f in given}, "parameters", extra)
+        return {key: value for key, value in parameters.items() if not isinstance(key, AppliedUndef)}
 
     def _check_appearance(self, extra: str) -> None:
         """Raise if inputs are given that the model does not have, unless they are to be ignored."""
@@ -651,6 +647,23 @@ class Model:
                 raise ModelError(f"{function} in initial= is none of the states {(*map(_name, self._states()),)}.")
             initial[_name(function)] = finite_number(value, f"initial {_name(function)}")
         return initial
+
+
+def _check_model_name(name: object) -> None:
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise ModelError(f"A model's name is letters, digits and underscores, a letter first, not {name!r}.")
+    if keyword.iskeyword(name) or name in IMPORTED:
+        raise ModelError(f"A model cannot be named {name!r}: Python or the generated code needs that name.")
+
+
+def _known_numbers(parameters: Mapping[Any, Any], outputs: Mapping[Any, Any]) -> set[sm.Symbol | str]:
+    """The parameters with values that are numbers, and are no outputs: those that drawings may contain."""
+    for key in outputs:
+        if not isinstance(getattr(key, "name", key), str) or not name_of(key):
+            raise ModelError(f"outputs= is a mapping from names to expressions, and {shown(key)} is no name.")
+    taken = set(map(name_of, outputs))
+    numbers = (key for key, value in parameters.items() if _is_number(getattr(value, "value", value)))
+    return {key for key in numbers if isinstance(key, sm.Symbol | str) and name_of(key) not in taken}
 
 
 def _is_number(value: Any) -> bool:

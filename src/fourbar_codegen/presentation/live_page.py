@@ -29,6 +29,7 @@ from fourbar_codegen.presentation.html_page import (
     scene_data,
 )
 from fourbar_codegen.presentation.scene import Scene, known_points, scene
+from fourbar_codegen.roles import VECTORS
 from fourbar_codegen.tables import Page
 
 if TYPE_CHECKING:
@@ -113,6 +114,7 @@ def _text(
     parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = _scene(run)
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
+    names += [name for vector in VECTORS for name in vector.components]
     check_free(model.outputs, {name for name in names if names.count(name) > 1})
     modes = _modes(run)
     guides = [shape.points for shape in model.layout.drawing.shapes if shape.kind == "slider"]
@@ -317,6 +319,11 @@ def _panels(run: Trajectory) -> list[dict[str, Any]]:
         if columns and not (is_logarithmic and not model.n_c + len(model.layout.constraints.invariants)):
             is_open = not panels or (title == ENERGY and has_energy)
             panels.append({"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open)})
+    for vector in VECTORS:
+        if np.isfinite(run.vectors[vector.name]).any():
+            title = f"{vector.description[0].upper()}{vector.description[1:]} ({vector.unit})"
+            panels.append({"title": title, "log": False, "columns": [begin, begin + 1, begin + 2], "open": False})
+        begin += 3
     return panels
 
 

@@ -138,9 +138,8 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
         "kinetic_energy": ("time", trajectory.kinetic_energy, {"units": "J"}),
         "potential_energy": ("time", trajectory.potential_energy, {"units": "J", **_left_out(trajectory)}),
         **{
-            quantity.name: (("axis", "time"), trajectory[quantity.name], {"units": quantity.unit})
-            for quantity in VECTORS
-            if quantity.name not in model.points
+            vector.name: (("axis", "time"), trajectory.vectors[vector.name], {"units": vector.unit})
+            for vector in VECTORS
         },
         "position": (
             ("point", "axis", "time"),

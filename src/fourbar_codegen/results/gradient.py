@@ -129,6 +129,7 @@ def output_sensitivity(
     t: Floats,
     y: Floats,
     r: Floats,
+    *,
     parameters: Floats | None,
     inputs: Mapping[Any, Any],
     directions: Directions,

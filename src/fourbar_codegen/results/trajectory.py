@@ -18,6 +18,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.files import save, write_csv
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
+from fourbar_codegen.roles import VECTORS
 from fourbar_codegen.tables import Page, table
 
 if TYPE_CHECKING:
@@ -146,12 +147,12 @@ class Trajectory:
             return columns[key]
         if key in model.points:
             return self.points[key]
-        if key in self._quantities:
-            return self._quantities[key]
+        if key in self.vectors:
+            return self.vectors[key]
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
 
     def _ipython_key_completions_(self) -> list[str]:
-        return list(dict.fromkeys((*self.columns(), *self.model.points, *self._quantities)))
+        return list(dict.fromkeys((*self.columns(), *self.model.points, *self.vectors)))
 
     @cached_property
     def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -177,7 +178,12 @@ class Trajectory:
         return self._derived[1]
 
     @cached_property
-    def _quantities(self) -> dict[str, Floats]:
+    def vectors(self) -> dict[str, Floats]:
+        """Momenta over time by name, each of shape (3, n_t), as `CompiledModel.momentum`.
+
+        ``"momentum"`` (kg m/s); ``"angular_momentum"`` (about the fixed point) and ``"spin"`` (about the mass centre),
+        kg m^2/s.
+        """
         return self.model.quantities_along(self.t, self.y, self.r, self.parameters)
 
     @cached_property
@@ -322,7 +328,14 @@ class Trajectory:
             raise ModelError("The run has no sensitivities: simulate(..., sensitivities=[...]) finds them.")
         of_states = np.concatenate([part.reshape(-1, *self.y.shape) for part in self.sensitivity.values()])
         found = output_sensitivity(
-            self.model, self.t, self.y, self.r, self.parameters, self.inputs or {}, self.directions, of_states
+            self.model,
+            self.t,
+            self.y,
+            self.r,
+            parameters=self.parameters,
+            inputs=self.inputs or {},
+            directions=self.directions,
+            sensitivity=of_states,
         )
         return self.directions.by_name(found)
 
@@ -392,8 +405,8 @@ class Trajectory:
         derived["kinetic_energy"] = self.kinetic_energy
         derived["potential_energy"] = self.potential_energy
         derived["energy"] = self.energy
-        for name, rows in self._quantities.items():
-            derived.update(zip((f"{name}_{axis}" for axis in "xyz"), rows, strict=True))
+        for vector in VECTORS:
+            derived.update(zip(vector.components, self.vectors[vector.name], strict=True))
         return {**columns, **{name: row for name, row in derived.items() if name not in columns}}
 
     def to_dataframe(self) -> pandas.DataFrame:
@@ -453,7 +466,8 @@ class Trajectory:
         Parameters
         ----------
         path : str or Path
-            The suffix selects the format: ``.csv`` (a row for each time, all digits), ``.npz`` (NumPy, an array for
+            The suffix selects the format: ``.csv`` (a row for each time, all digits: `columns`, and positions of
+            points, with the units of what the model does not name in brackets), ``.npz`` (NumPy, an array for
             each name), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.html`` (interactive report),
             ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); the last three need the extra ``visual``, ``.mp4`` also
             FFmpeg. Missing folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an
@@ -665,8 +679,16 @@ def make_trajectory(**attributes: Any) -> Trajectory:
 
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
-    title = trajectory.model.title
-    write_csv({title(name): column for name, column in trajectory.columns().items()}, file)
+    model, columns = trajectory.model, trajectory.columns()
+    own = {"t", *model.states, *model.inputs, *model.outputs}
+    units = dict.fromkeys(("kinetic_energy", "potential_energy", "energy"), "J")
+    units |= {name: vector.unit for vector in VECTORS for name in vector.components}
+    for point, rows in trajectory.points.items():
+        position = dict(zip((f"{point}.{axis}" for axis in "xyz"), rows, strict=True))
+        columns |= {name: row for name, row in position.items() if name not in columns}
+        units |= dict.fromkeys(position, "m")
+    unit_of = {name: f" [{unit}]" for name, unit in units.items() if name not in own}
+    write_csv({model.title(name) + unit_of.get(name, ""): column for name, column in columns.items()}, file)
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -298,7 +298,16 @@ def _of_events(
         for i, (t, x, (s, slope, rates)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
             r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
             by = s.T[:n]  # without probes
-            changes = output_sensitivity(model, at, x[:, np.newaxis], r, p, inputs, directions, by[..., np.newaxis])
+            changes = output_sensitivity(
+                model,
+                at,
+                x[:, np.newaxis],
+                r,
+                parameters=p,
+                inputs=inputs,
+                directions=directions,
+                sensitivity=by[..., np.newaxis],
+            )
             of_times[:, i] = -changes[:, row, 0] / (slope or math.nan)  # 0 for an output that is constantly zero
             of_states[..., i] = by + np.outer(of_times[:, i], rates)
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)

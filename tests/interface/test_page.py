@@ -283,7 +283,8 @@ def test_page_resets_its_settings_and_saves_the_shown_run_as_csv(opened, made, f
     # Inputs, energies and multipliers are those of the package, to rounding errors times the condition.
     run = four_bar.simulate((0.0, 4.0), t_eval=t, rtol=1e-11, atol=1e-11)
     for name, values in (("F", run.r[0]), ("kinetic energy", run.kinetic_energy), ("total energy", run.energy),
-                         ("lambda1", run.multipliers[0]), ("lambda2", run.multipliers[1])):  # fmt: skip
+                         ("lambda1", run.multipliers[0]), ("lambda2", run.multipliers[1]),
+                         ("momentum_y", run.vectors["momentum"][1]), ("spin_z", run.vectors["spin"][2])):  # fmt: skip
         column = table[:, header.index(name)]
         np.testing.assert_allclose(column, values, rtol=0, atol=1e-7 * np.abs(values).max(), err_msg=name)
     # Both are rounding errors of the same loops, of positions alone.

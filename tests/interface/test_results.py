@@ -41,6 +41,19 @@ def test_quantities_of_a_run_by_name_equal_its_attributes(four_bar, trajectory):
     assert own["pin_x"].shape == own.t.shape
 
 
+def test_csv_of_a_run_has_positions_of_points_and_the_units_of_what_is_derived(four_bar, tmp_path):
+    """The crank's end is at (l1 / 2 + l2 cos q1, l2 sin q1)."""
+    run = four_bar.simulate((0.0, 1.0))
+    with run.save(tmp_path / "run.csv").open(newline="") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    length, ground = four_bar.defaults["l2"], four_bar.defaults["l1"]
+    for row in rows:
+        assert row["P2.x [m]"] == pytest.approx(ground / 2 + length * np.cos(row["q1"]), abs=1e-14)
+        assert row["P2.y [m]"] == pytest.approx(length * np.sin(row["q1"]), abs=1e-14)
+        assert row["energy [J]"] == row["kinetic_energy [J]"] + row["potential_energy [J]"]
+    assert {"t", "q1", "F", "lambda1", "momentum_x [kg m/s]", "spin_z [kg m^2/s]"} < set(rows[0])
+
+
 def test_inputs_by_member_are_in_an_ensembles_files_and_plots(four_bar, tmp_path):
     forces = np.array([1.0, 2.0, 3.0])
     runs = four_bar.ensemble((0.0, 0.5), inputs={"F": forces})

@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 import xarray
-from builders.systems import slider
+from builders.systems import pendulum, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.building import toolchain
@@ -25,6 +25,21 @@ def run(four_bar):
     return four_bar.simulate(
         (0.0, 2.0), parameters={"l2": 0.45}, inputs={"F": 3.0}, method="RK45", rtol=1e-7, t_eval=np.linspace(0, 2, 21)
     )
+
+
+def test_dataset_has_the_momentum_beside_a_point_of_that_name():
+    """p = m l u across the pendulum, which turns about z."""
+    system = pendulum()
+    tip = system.fixed_point.locatenew("momentum", 2 * system.bodies[0].masscenter.pos_from(system.fixed_point))
+    parameters = {"m": 2.0, "g": 9.81, "l": 0.5}
+    model = fb.compile_model(fb.Model(system, name="tip", parameters=parameters, points=[tip]))
+    found = model.simulate((0.0, 1.0), [0.3, -0.2])
+    dataset = found.to_xarray()
+    assert {"momentum"} < {*dataset.point.values}
+    q, u = found.q[0], found.u[0]
+    expected = 2.0 * 0.5 * u * np.array([-np.sin(q), np.cos(q), 0.0 * q])
+    np.testing.assert_allclose(dataset["momentum"].transpose("axis", "time"), expected, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(dataset["position"].sel(point="momentum", axis="x"), np.cos(q), rtol=0, atol=1e-14)
 
 
 def test_dataset_of_a_run_has_all_quantities_by_name(run):

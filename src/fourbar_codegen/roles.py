@@ -18,6 +18,7 @@ __all__ = [
     "Quantity",
     "Role",
     "Status",
+    "StopReason",
     "Threshold",
     "enums_text",
 ]
@@ -59,6 +60,20 @@ class Status(_Enum):
         24,
         "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
     )
+
+
+class StopReason(_Enum):
+    """Why a run stops between two steps."""
+
+    END = 0, "t_bound is reached"
+    PAUSED = 1, "as many steps as asked for"
+    FULL = 2, "no room for another sample, or for another step to keep"
+    EVENT = 3, "a step to examine: an event function may have changed its sign, or the constraints that of det J_d"
+    TOO_SMALL = 4, "the step control asks for less than the spacing of doubles"
+    INFINITE = 5, "the step's length is not finite"
+    COLLAPSED = 6, "steps have become much smaller than they were on average"
+    DIVERGED = 7, "the equations of an implicit step could not be solved"
+    OPEN = 8, "after a step the constraint violation is too large to be corrected"
 
 
 class Threshold(float, Enum):
@@ -178,7 +193,7 @@ class Quantity:
 QUANTITIES = {
     Role.MOMENTA: (
         Quantity("momentum", "kg m/s", "linear momentum"),
-        Quantity("angular_momentum", "kg m^2/s", "angular momentum about the point that positions refer to"),
+        Quantity("angular_momentum", "kg m^2/s", "angular momentum about the fixed point"),
         Quantity("spin", "kg m^2/s", "angular momentum about the mass centre"),
     ),
 }
@@ -196,7 +211,13 @@ def enums_text() -> str:
     )
     texts = [f"enum {{ {name} = {value} }}; /* {comment} */" for name, value, comment in constants]
     texts += [f"#define FB_{bound.name} {float(bound)!r} /* {bound.comment} */" for bound in Threshold]
-    for kind, name, prefix in ((Status, "FB_STATUS", "FB"), (Role, "FB_ROLE", "FB"), (Needs, "FB_NEEDS", "FB_NEEDS")):
+    kinds = (
+        (Status, "FB_STATUS", "FB"),
+        (StopReason, "FB_RUN", "FB_RUN"),
+        (Role, "FB_ROLE", "FB"),
+        (Needs, "FB_NEEDS", "FB_NEEDS"),
+    )
+    for kind, name, prefix in kinds:
         rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
         rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []
         texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))

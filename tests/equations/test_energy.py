@@ -222,7 +222,8 @@ def test_spring_without_antiderivative_is_named_in_runs_files_and_plots(tmp_path
     name = "ForceActuator O - ball"
     assert run.energy_without == (name,)
     assert (run.potential_energy == 0.0).all()
-    assert f",potential_energy without {name} [J],energy without {name} [J]," in run.save(tmp_path / "run.csv").read_text()
+    text = run.save(tmp_path / "run.csv").read_text()
+    assert f",potential_energy without {name} [J],energy without {name} [J]," in text
     assert name in run.save(tmp_path / "run.html").read_text()
     assert run.to_xarray().potential_energy.attrs["without"] == name
     for suffix in (".npz", ".nc"):

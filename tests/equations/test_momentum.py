@@ -96,6 +96,22 @@ def test_angular_momenta_without_positions_and_without_mass_are_nan():
     assert np.isnan(about_centre).all()
 
 
+def test_angular_momentum_about_a_fixed_point_that_is_not_connected_is_nan():
+    """A KanesMethod has no fixed point: there it is about the point at rest that positions refer to, m l^2 u."""
+    system, parameters = systems.pendulum(), {"m": 2.0, "g": 9.81, "l": 0.5}
+    elsewhere = System(system.frame, me.Point("elsewhere"))
+    elsewhere.add_bodies(*system.bodies)
+    elsewhere.add_loads(*system.loads)
+    elsewhere.q_ind, elsewhere.u_ind, elsewhere.kdes = system.q, system.u, system.kdes
+    system.form_eoms()
+    for given, about_origin in ((elsewhere, [np.nan] * 3), (system.eom_method, [0.0, 0.0, 2.0 * 0.25 * 3.0])):
+        model = fb.compile_model(fb.Model(given, name="swing", parameters=parameters))
+        momentum, about, about_centre = model.momentum(0.0, [0.0, 3.0])
+        np.testing.assert_allclose(momentum, [0.0, 2.0 * 0.5 * 3.0, 0.0], rtol=1e-15)
+        np.testing.assert_array_equal(about, about_origin)
+        np.testing.assert_array_equal(about_centre, np.zeros(3))
+
+
 def test_components_with_parameters_that_nothing_else_needs_are_nan():
     """SymPy's RigidBody has six symbols of inertia; of a rod that turns about one axis, the motion needs one."""
     m, g = sm.symbols("m g")

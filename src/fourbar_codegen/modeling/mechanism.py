@@ -237,6 +237,9 @@ class Mechanism:
         Names of points that are not drawn since nothing else uses a frame in which their positions are written.
     length_laws : tuple of LengthLaw
         For the potential energy. They are left out of the fingerprint, so that runs that were saved without them load.
+    is_origin_fixed : bool
+        Whether positions of drawn points are relative to the System's fixed point, or to a point at rest of a
+        KanesMethod, which has none; not where a System's fixed point is not connected to the bodies. Also left out.
     """
 
     time: sm.Symbol
@@ -261,6 +264,7 @@ class Mechanism:
     shapes: tuple[Shape, ...]
     not_drawn: tuple[str, ...]
     length_laws: tuple[LengthLaw, ...] = field(hash=False)
+    is_origin_fixed: bool = field(hash=False)
 
     @property
     def states_velocity_constraints(self) -> bool:

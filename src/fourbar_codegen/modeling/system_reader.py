@@ -121,6 +121,7 @@ def read_mechanism(
         shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
         not_drawn=not_drawn,
         length_laws=tuple(_length_laws(description.sources)),
+        is_origin_fixed=description.fixed_point is None or next(iter(of_points), None) is description.fixed_point,
     )
 
 

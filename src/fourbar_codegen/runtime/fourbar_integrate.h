@@ -38,18 +38,6 @@ enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
 /* States along a step at which the sign of det J_d is evaluated, if the ends are not conclusive. */
 enum { FB_LOOKS = 8 };
 
-enum FB_RUN {
-    FB_RUN_END = 0,       /* t_bound is reached */
-    FB_RUN_PAUSED = 1,    /* as many steps as asked for */
-    FB_RUN_FULL = 2,      /* no room for another sample, or for another step to keep */
-    FB_RUN_EVENT = 3,     /* a step to examine before its samples are taken: an event function changed its sign, or the
-                             constraints the sign of det J_d */
-    FB_RUN_TOO_SMALL = 4, /* the step control asks for less than the spacing of doubles */
-    FB_RUN_INFINITE = 5,  /* the step's length is not finite */
-    FB_RUN_COLLAPSED = 6, /* steps have become much smaller than they were on average */
-    FB_RUN_DIVERGED = 7   /* the equations of an implicit step could not be solved */
-};
-
 /* The weights of a linear combination of stages, without zeros. */
 typedef struct fb_weights {
     int n;

@@ -16,6 +16,7 @@ from fourbar_codegen.runtime.evaluator cimport (
 import numpy as np
 
 from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.roles import StopReason
 
 cnp.import_array()
 
@@ -51,14 +52,6 @@ cdef extern from "fourbar_forward.h":
 
 cdef extern from "fourbar_integrate.h":
     int FB_BLOCK
-    int FB_RUN_END
-    int FB_RUN_PAUSED
-    int FB_RUN_FULL
-    int FB_RUN_EVENT
-    int FB_RUN_TOO_SMALL
-    int FB_RUN_INFINITE
-    int FB_RUN_COLLAPSED
-    int FB_RUN_DIVERGED
     ctypedef struct fb_steps:
         long n, room
         double *rows
@@ -544,8 +537,8 @@ cdef class EmbeddedSteps:
             The time reached, the step taken, the next step's proposed length.
         x : ndarray, shape (n_x,)
         n_evaluations : int
-        problem : {"", "too small", "infinite"}
-            Problem of the step's length; if empty, the step was accepted.
+        reason : StopReason
+            ``PAUSED`` after an accepted step; otherwise what is wrong with its length.
         """
         cdef fb_run *run = &self.run
         cdef cnp.ndarray state = vector(x, run.n, "The state x")
@@ -565,7 +558,7 @@ cdef class EmbeddedSteps:
         for k in range(n_stages + 1):
             memcpy(data(stages) + k * run.n, run.stages + k * run.padded, run.n * sizeof(double))
         return (run.t, run.h, run.h_abs, _state_of(run), run.n_evaluations,
-                "" if status == FB_RUN_PAUSED else "too small" if status == FB_RUN_TOO_SMALL else "infinite")
+                _REASONS[status])
 
 
 cdef int _enter(bint *busy) except -1:
@@ -710,9 +703,7 @@ def _rates_of(Ode ode):
     return np.array([*rates, -1], dtype=np.intc)
 
 
-_REASONS = {FB_RUN_END: "end", FB_RUN_PAUSED: "paused", FB_RUN_FULL: "full", FB_RUN_EVENT: "event",
-            FB_RUN_TOO_SMALL: "too small", FB_RUN_INFINITE: "infinite", FB_RUN_COLLAPSED: "collapsed",
-            FB_RUN_DIVERGED: "diverged"}
+_REASONS = tuple(StopReason)
 
 
 @cython.final
@@ -955,8 +946,7 @@ cdef class Run:
         return 0
 
     def on(self, long steps):
-        """Take up to this number of steps; returns the reason of the stop: "end", "paused", "full", "event",
-        "too small", "infinite", "collapsed", "diverged"."""
+        """Take up to this number of steps; returns the `StopReason`."""
         cdef int status
         with nogil:
             status = fb_run_on(&self.run, steps)

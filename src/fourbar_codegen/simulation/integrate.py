@@ -17,6 +17,7 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
+from fourbar_codegen.roles import StopReason
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch
@@ -28,6 +29,10 @@ __all__ = ["REACHED_END", "integrate"]
 
 Floats = NDArray[np.float64]
 
+# An attribute of an enumeration takes as long as ten comparisons in the loop below.
+END, PAUSED, FULL, EVENT = StopReason.END, StopReason.PAUSED, StopReason.FULL, StopReason.EVENT
+COLLAPSED, DIVERGED = StopReason.COLLAPSED, StopReason.DIVERGED
+
 PAUSE = 0.02
 """Seconds after which a run in C returns to Python, for keyboard interrupts and progress."""
 
@@ -37,16 +42,17 @@ ZERO_AT_START = (
     " Its function, {}, is zero at the start, t = {:.9g}, which counts as an event, so that the run ends at once. To "
     "go on to the next one, count it with terminal=2, or take changes of the other direction only, or begin elsewhere."
 )
-DIVERGED = (
+NOT_SOLVED = (
     "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
     'singular position, method="DOP853" selects its step size itself.'
 )
 FAILED = {
-    "too small": "Required step size is less than spacing between numbers. Is an input or a load discontinuous there? "
-    "Jumps of tables and of the model's expressions are found, those of callables are not: end the run there with a "
-    "terminal event and start a new one, or hold the inputs over each step with CompiledModel.stepper.",
-    "infinite": "The step size is not finite: give a finite end, or max_step.",
-    "open": "After a step the constraint violation is too large to be corrected: use smaller tolerances.",
+    StopReason.TOO_SMALL: "Required step size is less than spacing between numbers. Is an input or a load "
+    "discontinuous there? Jumps of tables and of the model's expressions are found, those of callables are not: end "
+    "the run there with a terminal event and start a new one, or hold the inputs over each step with "
+    "CompiledModel.stepper.",
+    StopReason.INFINITE: "The step size is not finite: give a finite end, or max_step.",
+    StopReason.OPEN: "After a step the constraint violation is too large to be corrected: use smaller tolerances.",
 }
 NOT_FINITE = (
     " Sensitivities are not finite from t = {:.9g} on: they have outgrown the range of numbers, as in long chaotic "
@@ -151,7 +157,7 @@ def integrate(
         if progress is not None and now - noted >= PAUSE:
             progress(run.t)
             noted = now
-        if reason == "event":
+        if reason is EVENT:
             if run.toggled:
                 samples.append(run.take_samples())
                 singular = looks.within_step(run, samples)
@@ -165,13 +171,13 @@ def integrate(
             if end is not None:
                 run.stop_within(end)
                 outcome = 1, TERMINATED + _at_start(watch.ended_by if watch else "", run, end, t_begin)
-        elif reason == "full":
+        elif reason is FULL:
             samples.append(run.take_samples())
-        elif reason == "paused":
+        elif reason is PAUSED:
             steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
                 outcome = -1, f"max_steps = {max_steps} is reached; None is no limit."
-        elif reason == "end":
+        elif reason is END:
             if not (pieces and pieces.ahead):
                 outcome = 0, REACHED_END
                 continue
@@ -184,20 +190,20 @@ def integrate(
                 outcome = -1, str(error)
             else:
                 ends = watch is not None and watch.across(run)
-                outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED["open"])
+                outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED[StopReason.OPEN])
                 unknown = pieces.unknown.intersection(directions.names if directions else ())
                 if unknown:
                     outcome = -1, UNKNOWN_JUMP.format(", ".join(sorted(unknown)))
-        elif reason == "diverged":
-            outcome = -1, run.ode.failure or DIVERGED.format(options.max_step / 10.0)
+        elif reason is DIVERGED:
+            outcome = -1, run.ode.failure or NOT_SOLVED.format(options.max_step / 10.0)
         else:
             samples.append(run.take_samples())
             differentiates = options.gradient or directions is not None
-            singular = looks.here(run, samples, collapsed=reason == "collapsed", varied=differentiates)
-            if singular or reason != "collapsed":
-                outcome = -1, singular or run.ode.failure or FAILED.get(reason, reason)
+            singular = looks.here(run, samples, collapsed=reason is COLLAPSED, varied=differentiates)
+            if singular or reason is not COLLAPSED:
+                outcome = -1, singular or run.ode.failure or _failure(reason)
     status, message = outcome
-    while run.on(0) == "full":
+    while run.on(0) is FULL:
         samples.append(run.take_samples())
     samples.append(run.take_samples())
     ode.clock = ALL_TIME  # from here on, its times are absolute
@@ -313,6 +319,11 @@ def _of_events(
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})
     return found
+
+
+def _failure(reason: StopReason | str) -> str:
+    """What is wrong where a run cannot go on: a sentence, or the message of a solver that is not ours."""
+    return FAILED[reason] if isinstance(reason, StopReason) else reason
 
 
 def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:

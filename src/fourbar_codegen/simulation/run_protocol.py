@@ -7,6 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from fourbar_codegen.roles import StopReason
 from fourbar_codegen.runtime.integrator import Ode
 
 __all__ = ["Integration"]
@@ -57,7 +58,7 @@ class Integration(Protocol):
     def enter(self, t: float, t_bound: float, first: float, last: float, x: ArrayLike | None = None) -> bool:
         """Continue from the time of a boundary to another time; from state x, if given."""
 
-    def on(self, steps: int) -> str:
+    def on(self, steps: int) -> StopReason | str:
         """Take some steps; returns why it stopped."""
 
     def time_within(self, share: float) -> float:

@@ -14,6 +14,7 @@ from scipy.integrate import DenseOutput
 from fourbar_codegen.arguments import numbers
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.roles import StopReason
 from fourbar_codegen.runtime.evaluator import OK
 from fourbar_codegen.runtime.integrator import Ode, check_within, steps_at
 from fourbar_codegen.simulation import solvers
@@ -128,16 +129,14 @@ class SolverRun:
         self.event_values = before, self.event_values[1]
         return True
 
-    def on(self, steps: int) -> str:
-        """Take a step, if any is left; returns why it stopped: "event", "paused", "end", "too small", "open", or a
-        message of the solver.
-        """
+    def on(self, steps: int) -> StopReason | str:
+        """Take a step, if any is left; returns why it stopped, or the message of a solver that fails."""
         if self._pending:
             self._sample()
         if self._since == self._bound:
-            return "end"
+            return StopReason.END
         if steps <= 0:
-            return "paused"
+            return StopReason.PAUSED
         message = self._solver.step()
         if self._solver.status == "failed":
             if self.ode.failure is None:
@@ -147,11 +146,11 @@ class SolverRun:
             return message or "The solver has failed."
         since, x = float(self._solver.t), np.array(self._solver.y)
         if since == self._since:
-            return "too small"
+            return StopReason.TOO_SMALL
         if self._project:
             status, x = self.ode.closest(since, x)
             if status != OK:
-                return "open"
+                return StopReason.OPEN
         self.t_old, self._since_old, self._x_old = self.t, self._since, self._x
         self.t, self._since, self._x = self._at(since), since, x
         self.n_steps += 1
@@ -159,7 +158,7 @@ class SolverRun:
         self.toggled = self._toggled()
         if self._outputs:
             self.event_values = self.event_values[1], self._event_values(self.t, x)
-        return "event"
+        return StopReason.EVENT
 
     def _at(self, since: float) -> float:
         return self._t_bound if since == self._bound else self._origin + since

@@ -32,6 +32,7 @@ from numpy.typing import ArrayLike, NDArray
 from fourbar_codegen.arguments import finite_number, longest_step, number, numbers, one_of, positive, tolerance
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.consistency import consistent
+from fourbar_codegen.roles import StopReason
 from fourbar_codegen.runtime.evaluator import is_finite
 from fourbar_codegen.runtime.implicit import FORMULATIONS, Rates, Residual
 from fourbar_codegen.runtime.integrator import EmbeddedSteps, Ode
@@ -136,11 +137,11 @@ class _Explicit(_Compiled):
         if not self._settings or not all(map(operator.is_, settings, self._settings)):
             self._settings, self._stepper = settings, self._make_stepper()
         self.K[0] = self.f
-        t, h, h_abs, y, evaluations, problem = self._stepper.step(self.t, self.h_abs, self.y, self.K)
+        t, h, h_abs, y, evaluations, reason = self._stepper.step(self.t, self.h_abs, self.y, self.K)
         self.nfev += evaluations
-        if problem == "infinite":
+        if reason == StopReason.INFINITE:
             return False, "The step size is not finite: give a finite end, or max_step."
-        if problem:
+        if reason == StopReason.TOO_SMALL:
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
         self.t, self.h_abs, self.y, self.f = t, h_abs, y, self.K[-1].copy()

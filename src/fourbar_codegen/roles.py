@@ -232,7 +232,7 @@ static inline const char *fb_message(const int status)
 }}""")
     body = "\n\n".join(texts)
     return f"""\
-/* Enumerations that C and Python share, which setup.py writes by roles.py. */
+/* Enumerations and thresholds that C and Python share, which setup.py writes by roles.py. */
 #ifndef FOURBAR_ENUMS_H
 #define FOURBAR_ENUMS_H
 

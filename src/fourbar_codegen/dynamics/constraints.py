@@ -45,6 +45,7 @@ def form_constraints(
     mechanism: Mechanism,
     convert: Conversion,
     convert_virtual: Conversion,
+    *,
     q: Sequence[Scalar],
     u: Sequence[Scalar],
     aux: Sequence[Scalar],

@@ -294,7 +294,9 @@ def _kanes_equations(m: _Motion) -> _KanesEquations:
 def _solved(m: _Motion, kane: _KanesEquations) -> _Solved:
     model, mechanism, tape, v, leaves = m.model, m.mechanism, m.tape, m.v, m.leaves
     formed = tape.reach([*m.q_rates, *chain(*kane.mass_matrix), *kane.forcing])
-    constraints = form_constraints(tape, mechanism, m.convert, m.convert_virtual, v.q, v.u, v.aux, m.rate, formed)
+    constraints = form_constraints(
+        tape, mechanism, m.convert, m.convert_virtual, q=v.q, u=v.u, aux=v.aux, rate=m.rate, formed=formed
+    )
     lam = tuple(tape.leaf("l", number) for number in range(len(constraints.velocities)))
     # f - M u' + J^T lambda; and -(J u' + gamma), the rate of the constraints for given u'.
     reactions = vjp(tape, list(zip(constraints.virtual_velocities, lam, strict=True)), (*v.u, *v.aux))
@@ -537,7 +539,7 @@ def check_velocity_constraints(model: Model) -> None:
     v = _leaves_of(tape, model)
     leaves, _, rate, _ = _rates(tape, model, v)
     convert = Conversion(tape, leaves)
-    constraints = form_constraints(tape, mechanism, convert, convert, v.q, v.u, (), rate, ())
+    constraints = form_constraints(tape, mechanism, convert, convert, q=v.q, u=v.u, aux=(), rate=rate, formed=())
     form_corrections(
         tape,
         constraints,

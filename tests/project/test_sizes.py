@@ -1,0 +1,49 @@
+"""Functions and data are small enough to be read at once."""
+
+import ast
+from pathlib import Path
+
+import fourbar_codegen as fb
+
+PACKAGE = Path(fb.__file__).parent
+LONG = {"models.whipple_bicycle.whipple_bicycle", "simulation.integrate.integrate"}
+"""The first is a page of a paper; the other is a loop with its events, discontinuities and messages."""
+MANY = {"simulation.batch.residual", "simulation.solver_run.__init__"}
+"""With more than six arguments by position."""
+
+
+def definitions(kind):
+    for path in sorted(PACKAGE.rglob("*.py")):
+        module = ".".join(path.relative_to(PACKAGE).with_suffix("").parts)
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, kind):
+                yield f"{module}.{node.name}", node
+
+
+def lines_of_code(function):
+    """Lines with a token that is neither in the docstring nor in a comment."""
+    body = function.body[ast.get_docstring(function) is not None :]
+    compound = (ast.stmt, ast.excepthandler, ast.match_case)
+    found = set()
+    for node in (each for statement in body for each in ast.walk(statement) if hasattr(each, "lineno")):
+        is_compound = isinstance(node, compound) and hasattr(node, "body")
+        found.update(range(node.lineno, (node.lineno if is_compound else node.end_lineno) + 1))
+    return len(found)
+
+
+def test_functions_have_80_lines_of_code_at_most():
+    assert {name for name, node in definitions(ast.FunctionDef) if lines_of_code(node) > 80} == LONG
+
+
+def test_functions_take_six_arguments_by_position_at_most():
+    found = set()
+    for name, node in definitions(ast.FunctionDef):
+        names = [argument.arg for argument in (*node.args.posonlyargs, *node.args.args)]
+        if len(names) - (names[:1] in (["self"], ["cls"])) > 6:
+            found.add(name)
+    assert found == MANY
+
+
+def test_classes_of_data_have_24_fields_at_most():
+    for name, node in definitions(ast.ClassDef):
+        assert sum(isinstance(statement, ast.AnnAssign) for statement in node.body) <= 24, name

@@ -852,7 +852,7 @@ class CompiledModel(Kernel):
         out: Floats | None = None,
         workers: int | None = 1,
     ) -> Floats:
-        """The right-hand side x' = f(t, x) at a batch of states, in SIMD lanes and on all cores.
+        """The right-hand side x' = f(t, x) at a batch of states, in SIMD lanes.
 
         Parameters
         ----------

@@ -50,9 +50,8 @@ Floats = NDArray[np.float64]
 RANK_RTOL = 1e-10
 """Singular values of the scaled Jacobian below this fraction of the largest leave parameters undetermined."""
 
-
-MIN_TRUST_REGION = 1e-3
-"""Of residuals: a trust region of this size is too small to begin with."""
+MIN_TRUST_RATIO = 1e-3
+"""A trust region below this fraction of the residuals is too small to begin with."""
 
 ROUNDING_RTOL = 1e-11
 """Of simulated values: relative changes of an unknown that change them less are rounding errors of derivatives."""
@@ -332,7 +331,7 @@ def _origin(guess: Floats, residuals: Floats, jacobian: Floats) -> Floats | None
     """
     effect = np.linalg.norm(jacobian, axis=0)
     wanted = float(np.linalg.norm(residuals))
-    if np.linalg.norm(guess * effect) >= MIN_TRUST_REGION * wanted:
+    if np.linalg.norm(guess * effect) >= MIN_TRUST_RATIO * wanted:
         return None
     changes: Floats = wanted / math.sqrt(len(guess)) / np.where(effect > 0.0, effect, math.inf)
     return guess - changes

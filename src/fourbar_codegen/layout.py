@@ -151,7 +151,7 @@ class Constraints:
 
 @dataclass(frozen=True)
 class StateJump:
-    """A function of the state at which the equations of motion, or the expression of an input, jump.
+    """A jump of the equations of motion, or of the expression of an input, where a function of the state switches.
 
     Attributes
     ----------
@@ -178,7 +178,7 @@ class Breakpoints:
     Attributes
     ----------
     n : int
-        The breakpoints, as far as these follow from parameters.
+        The number of breakpoints, as far as these follow from parameters.
     n_motion_breakpoints : int
         How many of them, the first ones, are those of positions or velocities.
     state_jumps : tuple of StateJump

@@ -1,4 +1,4 @@
-"""What C and Python share: what the functions of a kernel compute, need and return; and thresholds.
+"""What C and Python share: roles, needs and results of a kernel's functions; why runs stop; thresholds.
 
 ``setup.py`` writes them to ``fourbar_enums.h`` when the package is built.
 """
@@ -68,16 +68,16 @@ class StopReason(_Enum):
     END = 0, "t_bound is reached"
     PAUSED = 1, "as many steps as asked for"
     FULL = 2, "no room for another sample, or for another step to keep"
-    EVENT = 3, "a step to examine: an event function may have changed its sign, or the constraints that of det J_d"
+    EVENT = 3, "a step to examine: an event function, or det J_d, may have changed its sign"
     TOO_SMALL = 4, "the step control asks for less than the spacing of doubles"
     INFINITE = 5, "the step's length is not finite"
     COLLAPSED = 6, "steps have become much smaller than they were on average"
     DIVERGED = 7, "the equations of an implicit step could not be solved"
-    OPEN = 8, "after a step the constraint violation is too large to be corrected"
+    OPEN = 8, "after a step the constraint violation is too large to be corrected, in runs by Python's solvers"
 
 
 class Threshold(float, Enum):
-    """Bounds of relative errors and ratios; two of the same value are members of their own."""
+    """Bounds of relative errors and ratios; members of equal value are distinct."""
 
     comment: str
 
@@ -87,11 +87,14 @@ class Threshold(float, Enum):
         member._value_, member.comment = len(cls.__members__), comment
         return member
 
-    ROW_RTOL = 2e-13, "Rows and pivots of J below this fraction of the largest are rounding errors: 1000 times eps."
+    ROW_RTOL = 2e-13, "Rows and pivots of J, and pivots of M, below this fraction are rounding errors: 1000 eps."
     # At a singular position, constraints are squares of coordinates, which are then known to the root of eps, 1.5e-8.
     DETERMINED_RATIO = 1e-7, "Larger pivots and singular values, relative to the largest, determine dependent values."
     REDUNDANCY_RTOL = 1e-7, "Redundant constraints are satisfied if they are below this fraction of their terms."
-    STATIC_PIVOT_RATIO = 0.25, "A static pivot order is used if pivots are at least this fraction of their row."
+    STATIC_PIVOT_RATIO = (
+        0.25,
+        "A static pivot order is used if pivots are at least this share of their row's largest.",
+    )
 
 
 class Needs(_Enum):
@@ -197,14 +200,14 @@ QUANTITIES = {
         Quantity("spin", "kg m^2/s", "angular momentum about the mass centre"),
     ),
 }
-"""The results of functions of a state that runs, tables and exported libraries have beside energies."""
+"""The results of functions of a state that runs, tables and exported libraries have besides energies."""
 
 VECTORS = tuple(quantity for of_role in QUANTITIES.values() for quantity in of_role)
 """All of them, in order."""
 
 
 def enums_text() -> str:
-    """The C header with the enumerations."""
+    """The C header with the enumerations and thresholds."""
     constants = (
         ("FB_DIRECTIONS", DIRECTIONS, "The most columns of directions of JVPs."),
         ("FB_VECTOR", VECTOR, "The columns of a vector."),

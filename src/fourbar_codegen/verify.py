@@ -30,7 +30,7 @@ __all__ = ["DISTANCES", "N_STATES", "verify"]
 Floats = NDArray[np.float64]
 
 N_STATES = 2
-"""As many are compared, if there are."""
+"""Number of states that are compared, if there are as many."""
 STEP = 1e-4
 DISTANCES = (None,) * 4 + (0.1, 1e-2, 1e-3, 1e-4, 0.0)
 """Distances of the states from the initial values, which are needed where expressions have values only near these, or

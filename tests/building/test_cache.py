@@ -691,7 +691,7 @@ def test_compilation_interrupted_from_the_keyboard_stops_its_tools(sleeper, tmp_
 
 @pytest.mark.slow
 def test_process_that_waits_for_a_build_names_the_builder(sleeper, monkeypatch, capsys):
-    monkeypatch.setattr(cache, "PATIENCE", 0.0)
+    monkeypatch.setattr(cache, "QUIET_SECONDS", 0.0)
     command = [sys.executable, "-c", f"{COMPILES}fb.compile_model(slider())"]
     first = subprocess.Popen(command, stderr=subprocess.DEVNULL)
     programs = sleeper.programs()

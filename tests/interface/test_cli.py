@@ -136,7 +136,7 @@ def test_unfinished_simulation_exits_with_an_error(tmp_path):
 
 @pytest.mark.slow
 def test_simulate_of_a_run_that_explodes_reports_progress_and_ends(monkeypatch):
-    monkeypatch.setattr("fourbar_codegen.simulation.simulate.PATIENCE", 0.1)  # a million steps take longer
+    monkeypatch.setattr("fourbar_codegen.simulation.simulate.QUIET_SECONDS", 0.1)  # a million steps take longer
     # The damper feeds the motion: to 20 s it would be 35 million steps, up to 4e15 J.
     done = run("simulate", "-p", "k=50", "-p", "l2=0.45", "-t", 0, 20)
     assert done.exit_code == 1

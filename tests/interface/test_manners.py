@@ -103,7 +103,7 @@ def test_output_of_info_on_a_terminal_has_no_colours(environment):
 def test_animation_saved_on_a_terminal_shows_its_progress_in_frames(tmp_path):
     """On a terminal, up to all frames; not a word elsewhere. Without patience, however fast they are drawn."""
     code = (
-        "import fourbar_codegen as fb; from fourbar_codegen.presentation import figures; figures.PATIENCE = 0.0\n"
+        "import fourbar_codegen as fb; from fourbar_codegen.presentation import figures; figures.QUIET_SECONDS = 0.0\n"
         f"fb.load('four_bar').simulate((0.0, 1.0)).save({str(tmp_path / 'run.gif')!r})"
     )
     frames = [int(number) for number in re.findall(r"(\d+)/31 ", on_terminal("-c", code))]

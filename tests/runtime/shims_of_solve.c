@@ -111,8 +111,8 @@ int solve_with_forces(law_of *given, const double *rows, const double *mass, con
 }
 
 /* From weights of u' and of (lambda, n): the weights of the auxiliary rows; those of u' and lambda for held n. */
-int pull_back_forces(law_of *given, const double *rows, const double *mass, const double *jacobian,
-                     const double *forces, double *of_accelerations, double *of_multipliers, double *of_rows)
+int forces_vjp(law_of *given, const double *rows, const double *mass, const double *jacobian, const double *forces,
+               double *of_accelerations, double *of_multipliers, double *of_rows)
 {
     static fb_factors factors;
     static fb_response response;
@@ -161,6 +161,6 @@ int is_close_by(const double *jacobian, double largest)
 {
     fb_units units = {{0.0}, {0.0}};
     fb_note_units(jacobian, &units);
-    return fb_is_close_by(jacobian, &units, largest);
+    return fb_is_near_singular(jacobian, &units, largest);
 }
 #endif

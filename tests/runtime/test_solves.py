@@ -604,7 +604,7 @@ def test_weights_of_forces_are_those_of_the_transposed_equations(forced):
     expected = np.linalg.solve(coupled(forces, M, J).T, np.concatenate((a, l_and_g)))
     of_u, of_multipliers, of_rows = a.copy(), l_and_g.copy(), np.full(2, np.nan)
     given = (forces.callback, forces.rows, M, J, np.zeros(2), of_u, of_multipliers, of_rows)
-    assert forced.shims.pull_back_forces(*given) == OK
+    assert forced.shims.forces_vjp(*given) == OK
     # A residual is what is added to a row, on the other side than right-hand sides.
     np.testing.assert_allclose(of_rows, -expected[7:], rtol=1e-10)
     # What is left for u' and lambda with held forces: M v + J^T m = a', -J v = l'.

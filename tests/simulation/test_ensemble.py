@@ -466,13 +466,13 @@ def test_members_whose_energy_explodes_end_at_max_steps_with_a_message(four_bar)
 def test_progress_bar_appears_on_a_terminal_only_in_long_runs_unless_switched_off():
     code = "import fourbar_codegen as fb\n{}fb.load('four_bar').ensemble((0.0, 1.0){})"
     impatient = (
-        "import fourbar_codegen.simulation.ensemble_run\nfourbar_codegen.simulation.ensemble_run.PATIENCE = 0.0\n"
+        "import fourbar_codegen.simulation.ensemble_run\nfourbar_codegen.simulation.ensemble_run.QUIET_SECONDS = 0.0\n"
     )
     assert "four_bar: " in on_terminal("-c", code.format(impatient, ""))
     assert on_terminal("-c", code.format(impatient, ", progress=False")).strip() == ""
     assert on_terminal("-c", code.format("", "")).strip() == ""
     # Members that run alone have the bar in common, and nothing without it.
-    alone = "import fourbar_codegen as fb, fourbar_codegen.progress\nfourbar_codegen.progress.PATIENCE = 0.0\n"
+    alone = "import fourbar_codegen as fb, fourbar_codegen.progress\nfourbar_codegen.progress.QUIET_SECONDS = 0.0\n"
     alone += "fb.load('four_bar').ensemble((0.0, 200.0), parameters={'l1': 0.9, 'k': 0.0, 'c': 0.0}, "
     alone += "inputs={'F': lambda t, x: 0.0}, progress=False)"
     assert on_terminal("-c", alone).strip() == ""

@@ -223,7 +223,7 @@ def test_max_steps_and_progress_are_kept_by_every_method(four_bar, method, monke
     for wrong in (0, -1, 2.0, True):
         with pytest.raises(fb.ModelError, match="max_steps"):
             four_bar.simulate((0.0, 1.0), max_steps=wrong, **how)
-    monkeypatch.setattr("fourbar_codegen.simulation.integrate.PAUSE", 0.0)
+    monkeypatch.setattr("fourbar_codegen.simulation.integrate.PAUSE_SECONDS", 0.0)
     seen = []
     four_bar.simulate((0.0, 1.0), progress=seen.append, **how)
     assert seen == sorted(seen)
@@ -236,7 +236,7 @@ def test_keyboard_interrupt_ends_the_run_of_every_method(four_bar, method, monke
         raise KeyboardInterrupt
 
     how, _ = method
-    monkeypatch.setattr("fourbar_codegen.simulation.integrate.PAUSE", 0.0)
+    monkeypatch.setattr("fourbar_codegen.simulation.integrate.PAUSE_SECONDS", 0.0)
     with pytest.raises(KeyboardInterrupt):
         four_bar.simulate((0.0, 1.0), progress=interrupted, **how)
 

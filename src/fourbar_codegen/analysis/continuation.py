@@ -24,7 +24,7 @@ Function = Callable[[Floats], tuple[Floats, Floats]]
 
 MAX_STEP_LENGTH = 0.1
 MIN_STEP_LENGTH = 1e-7
-"""Of steps."""
+"""Largest and smallest length of a step."""
 
 CROSSING_RATIO = 5.0
 """Steps are shorter where the smallest singular value is smaller than the largest one on the curve by this factor."""

@@ -28,9 +28,9 @@ EQUILIBRIUM_RTOL = 1e-9
 MIN_MASS_RATIO = 1e-12
 # Steps downhill: their number, the first, largest and shortest one, in rad or relative to the unit of displacements;
 # and the largest correction that closes loops, relative to the step.
-MAX_STEPS, FIRST_STEP, MAX_STEP, MIN_STEP, MAX_CORRECTION_RATIO = 1000, 0.05, 0.2, 1e-7, 0.5
+MAX_STEPS, FIRST_STEP_LENGTH, MAX_STEP_LENGTH, MIN_STEP_LENGTH, MAX_CORRECTION_RATIO = 1000, 0.05, 0.2, 1e-7, 0.5
 # Largest correction of the position from which they begin, in the same units: a turn.
-MAX_DISTANCE = 2.0 * np.pi
+MAX_FIRST_CORRECTION = 2.0 * np.pi
 # Rounding errors of a matrix, relative to its largest eigenvalue; and the largest ones of eigenvalues that follow: a
 # double eigenvalue of zero is known to the root of the precision.
 ROUNDING_RTOL, EIGENVALUE_RTOL = 10.0 * np.finfo(float).eps, 1e-7
@@ -100,9 +100,9 @@ class _AtRest:
     ----------
     model : Kernel
     t : float
-    p, r : ndarray
+    p, r : ndarray or None
     size : ndarray, shape (n_h,)
-        Loops are relative to their terms.
+        Scales of the position constraints.
     weights : ndarray, shape (n_u, n_u)
         Accelerations are in the metric of the mass matrix, relative to their norm at the start of the search.
     units : ndarray, shape (n_q + n_z,)
@@ -194,16 +194,16 @@ def _downhill(
     rest = np.concatenate((np.zeros(model.n_u), begin[n_q:]))
     q = nearest_closed(model, t, begin[:n_q], p, r)
     # Where modes meet, a correction by rounding errors of derivatives may be millions of turns.
-    is_near = q is not None and np.abs((q - begin[:n_q]) / units).max(initial=0.0) <= MAX_DISTANCE
+    is_near = q is not None and np.abs((q - begin[:n_q]) / units).max(initial=0.0) <= MAX_FIRST_CORRECTION
     force = accelerations(q) if q is not None and is_near else None
     if q is None or force is None:
         return None
-    length = FIRST_STEP
+    length = FIRST_STEP_LENGTH
     for _ in range(MAX_STEPS):
         x = np.concatenate((q, rest))
         way = model.coordinate_change(t, x, force, p, r)
         size = np.abs(way / units).max(initial=0.0)
-        if not size or length < MIN_STEP:
+        if not size or length < MIN_STEP_LENGTH:
             break
         step = length * way / size
         ahead = nearest_closed(model, t, q + step, p, r)
@@ -213,7 +213,7 @@ def _downhill(
         if ahead is None or force_there is None or force @ model.tree_mass_matrix(t, x, p) @ force_there < 0.0:
             length /= 2.0
             continue
-        q, force, length = ahead, force_there, min(2.0 * length, MAX_STEP)
+        q, force, length = ahead, force_there, min(2.0 * length, MAX_STEP_LENGTH)
     return np.concatenate((q, begin[n_q:]))
 
 

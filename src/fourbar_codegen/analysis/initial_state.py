@@ -37,7 +37,7 @@ FLAT_RATIO = 1e-4
 """If all entries of a column of J_d are below this, in scaled rows, speeds are tested at a neighbouring position."""
 
 MAX_ANGLE = 720.0
-"""Nobody means more of them."""
+"""Largest number of degrees; nobody means more."""
 
 SPEED_RTOL = 0.01
 """If rounding errors of the position change speeds by more than this fraction, they are undetermined."""

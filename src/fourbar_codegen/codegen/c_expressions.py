@@ -85,7 +85,7 @@ class Text:
     def value(self, line: int) -> str:
         """The right-hand side of a line."""
         operation, text = self.operations[line], self._operation(self.operations[line])[0]
-        if not isinstance(operation, Call) or self.real != "fb_real" or _is_vectorized(operation):
+        if not isinstance(operation, Call) or self.real != "fb_real" or _is_inlined_call(operation):
             return text
         # C has these functions for double only.
         arguments = [self.names[argument] for argument in operation.arguments]
@@ -137,7 +137,7 @@ class Text:
                 return f"1.0/{self._below(operation.node)}", False
             case Call(expression, arguments):
                 names = {placeholder(i): self._node(argument)[0] for i, argument in enumerate(arguments)}
-                inline = self.inline_angles and (self.real == "double" or _is_vectorized(operation))
+                inline = self.inline_angles and (self.real == "double" or _is_inlined_call(operation))
                 return _print(_Printer(names, "fb_" if inline else "", OF_NUMBER.get(self.real, "")), expression), False
         raise TypeError(f"{operation} has no text")
 
@@ -154,7 +154,7 @@ class Text:
         return self._node(node)[0] if node in self.names else f"({self._node(node)[0]})"
 
 
-def _is_vectorized(call: Call) -> bool:
+def _is_inlined_call(call: Call) -> bool:
     """Whether it is a sine, a cosine or an absolute value, which the runtime evaluates in the lanes of vectors."""
     return isinstance(call.expression, sm.sin | sm.cos | sm.Abs) and len(call.arguments) == 1
 

@@ -72,12 +72,15 @@ class Group:
         The number of results in each argument of the function.
     needs_inputs : bool
         Whether results depend on inputs besides those that prescribe motions.
+    returns_status : bool
+        Whether the function may fail.
     """
 
     function: str
     results: Sequence[tuple[str, str, str] | None]
     per_argument: int
     needs_inputs: bool = False
+    returns_status: bool = False
 
 
 def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
@@ -88,7 +91,7 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
         name = point.name or f"point {number}"
         points += [(f"{name}.{axis}", f"position of {name}", "") for axis in "xyz"]
     groups = [
-        Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), needs_inputs=True),
+        Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
         Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),
         Group("points", points, len(points)),
     ]
@@ -333,7 +336,7 @@ def _results(layout: Layout) -> str:
         places = range(end - len(group.results), end, group.per_argument)
         call = f"{name}_{group.function}(model, {', '.join(f'results + {place}' for place in places)})"
         cases += f"    case {number}: "
-        cases += f"return {call};\n" if group.needs_inputs else f"{call}; break;\n"
+        cases += f"return {call};\n" if group.returns_status else f"{call}; break;\n"
     return f"""\
 enum {{ FMU_N_RESULTS = {ends[-1]} }};
 static const int fmu_ends[] = {{{", ".join(map(str, ends))}}}; /* of groups of results that are evaluated at once */

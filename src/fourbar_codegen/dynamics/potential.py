@@ -51,8 +51,8 @@ N_MOTIONS = 5
 
 TINY = 1e-300
 
-MAX_SEARCHES = 3
-"""Longest search for the antiderivatives with respect to coordinates of all loads, in searches for one."""
+MAX_SEARCH_RATIO = 3
+"""Longest search for the antiderivatives of all loads with respect to coordinates, as a multiple of MAX_SECONDS."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def find_potential(
     """
     tape, mechanism = kinematics.tape, kinematics.mechanism
     foreign = (*auxiliary_states, *others)
-    until = time.thread_time() + MAX_SEARCHES * MAX_SECONDS
+    until = time.thread_time() + MAX_SEARCH_RATIO * MAX_SECONDS
     loads = _Loads(kinematics, rate, coordinates, speeds, foreign, dict.fromkeys(input_rates), motions, until)
     constant = {number: load for number, load in enumerate(mechanism.loads) if loads.is_constant(load)}
     pathways, taken = list[_Part](), {*constant}
@@ -348,7 +348,7 @@ class _Loads:
         return parts
 
     def _of_coordinates(self, components: Sequence[_Component]) -> _Part | None:
-        """The part of components whose generalized forces are the derivatives of a potential by coordinates."""
+        """The part of components whose generalized forces are the derivatives of a potential with respect to q."""
         tape = self.tape
         power = tape.sum([component.force * component.velocity for component in components])
         names = tuple(dict.fromkeys(component.name for component in components))
@@ -367,8 +367,8 @@ class _Loads:
         place, at_origin = tape.leaf("y", "coordinate"), dict[Scalar, Scalar]()
         work = []
         for q, force in forces.items():
-            patience = min(MAX_SECONDS, self.until - time.thread_time())
-            found = antiderivative(tape, substitute(tape, [force], {**at_origin, q: place})[0], place, patience)
+            max_seconds = min(MAX_SECONDS, self.until - time.thread_time())
+            found = antiderivative(tape, substitute(tape, [force], {**at_origin, q: place})[0], place, max_seconds)
             at_origin[q] = tape.zero
             try:
                 ends = [] if found is None else [substitute(tape, [found], {place: end})[0] for end in (q, tape.zero)]

@@ -20,7 +20,8 @@ Point = dict[Scalar, float]
 
 MAX_STATES = 60
 """Number of states that are drawn; at some of them expressions have no value, or loops do not close."""
-CLOSURE_ATOL = 1e-12
+CLOSURE_RTOL = 1e-12
+"""Largest violation of a constraint, relative to its scale; smallest singular value that counts."""
 MAX_CORRECTIONS = 40
 """Iterations of Newton's method to satisfy the constraints."""
 MIN_STEP_FRACTION = 1e-5
@@ -78,7 +79,7 @@ class RandomStates:
                 left, matrix = numbers[: len(violation)], numbers[len(violation) :].reshape(-1, n_u)
                 if leaves is accelerations:
                     left = left + matrix @ [point[leaf] for leaf in leaves]
-                for leaf, change in zip(leaves, np.linalg.lstsq(matrix, left, rcond=CLOSURE_ATOL)[0], strict=True):
+                for leaf, change in zip(leaves, np.linalg.lstsq(matrix, left, rcond=CLOSURE_RTOL)[0], strict=True):
                     point[leaf] -= float(change)
             else:
                 yield from self._at(point)
@@ -164,9 +165,9 @@ def _newton(
         if found is None:
             return False
         violation, matrix, sizes = found
-        if (np.abs(violation) <= CLOSURE_ATOL * sizes).all():
+        if (np.abs(violation) <= CLOSURE_RTOL * sizes).all():
             return True
-        step = -np.linalg.lstsq(matrix, violation, rcond=CLOSURE_ATOL)[0]
+        step = -np.linalg.lstsq(matrix, violation, rcond=CLOSURE_RTOL)[0]
         share, found = 1.0, None
         while found is None and share > MIN_STEP_FRACTION:
             there = {leaf: point[leaf] + share * float(change) for leaf, change in zip(moved, step, strict=True)}

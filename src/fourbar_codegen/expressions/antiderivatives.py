@@ -49,7 +49,7 @@ AGREEMENT_RTOL = 1e-7
 """Of the derivative of an antiderivative and its integrand, relative."""
 
 
-def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: float = MAX_SECONDS) -> Scalar | None:
+def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, max_seconds: float = MAX_SECONDS) -> Scalar | None:
     """A continuous function whose derivative is the integrand.
 
     Parameters
@@ -59,12 +59,12 @@ def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: fl
         A function of the variable; everything else in it counts as constant.
     variable : Scalar
         A leaf.
-    patience : float, optional
+    max_seconds : float, optional
         Longest search, seconds of processor time. Polynomials take none.
 
     Returns
     -------
-    Scalar, or None if SymPy finds none within the patience, or one that C cannot evaluate.
+    Scalar, or None if SymPy finds none in that time, or one that C cannot evaluate.
 
     Examples
     --------
@@ -88,7 +88,7 @@ def antiderivative(tape: Tape, integrand: Scalar, variable: Scalar, patience: fl
     own = {*map(type, expression.atoms(sm.Function))}
     if not all(function.__module__.startswith(INTEGRABLE) for function in own):
         return None
-    found = _within(patience, lambda: sm.integrate(expression.rewrite(sm.Piecewise), x))
+    found = _within(max_seconds, lambda: sm.integrate(expression.rewrite(sm.Piecewise), x))
     known = {*own, *FUNCTIONS, sm.Piecewise, sm.Max, sm.Min}
     if found is None or found.has(sm.Integral) or not {*map(type, found.atoms(sm.Function))} <= known:
         return None

@@ -28,8 +28,11 @@ PRIME = 0x6A09E667F3BCC908B2FB1366EA957D67
 """The first prime after the digits of the square root of 2; modulo 2**127 - 1, for example, 2**127 would be 1."""
 
 N_POINTS = 8
-IDENTITY_RTOL = 1e-9
+"""Random points at which expressions are compared."""
+IDENTITY_ATOL = 1e-9
+"""Largest value of a zero there."""
 MODERATE_RATIO = 1e-6
+"""Smallest coefficient, and reciprocal of the largest, of plain sums."""
 
 
 def deduplicate(tape: Tape, scalars: Sequence[Scalar], known: Iterable[int] = ()) -> list[Scalar]:
@@ -155,7 +158,7 @@ def _is_zero_to_rounding(tape: Tape, scalars: Sequence[Scalar], nodes: Sequence[
     for _ in range(N_POINTS):
         point = {leaf: generator.uniform(-3.0, 3.0) for leaf in leaves}
         values = tape.evaluate(tested, point)
-        found -= {scalar.node for scalar, value in zip(tested, values, strict=True) if not abs(value) <= IDENTITY_RTOL}
+        found -= {scalar.node for scalar, value in zip(tested, values, strict=True) if not abs(value) <= IDENTITY_ATOL}
     return [scalar.node in found for scalar in scalars]
 
 

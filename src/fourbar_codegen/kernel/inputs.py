@@ -207,7 +207,7 @@ def _rate(coefficients: Floats) -> Floats:
 
 
 def source_changes(model: Kernel, name: str, source: float | InterpolationTable) -> dict[int, Floats]:
-    """The derivatives of an input's sources by its value, or by the values of its table.
+    """The derivatives of an input's sources with respect to its value, or to the values of its table.
 
     Parameters
     ----------
@@ -313,7 +313,7 @@ def changes_at(source: object, changes: Floats, times: Floats) -> Floats:
 
 
 def _value_basis(times: Floats, values: Floats, kind: str) -> Floats:
-    """The derivatives of a table's coefficients by its values, shape (powers, intervals, values)."""
+    """The derivatives of a table's coefficients with respect to its values, shape (powers, intervals, values)."""
     n = len(times)
     if kind != "pchip":  # they are linear in the values
         return _coefficients(times, np.eye(n), kind)
@@ -326,7 +326,7 @@ def _value_basis(times: Floats, values: Floats, kind: str) -> Floats:
 
 
 def _monotone_rates(times: Floats, values: Floats) -> Floats:
-    """The derivatives of a monotone interpolant's slopes at its points by its values, shape (n, n).
+    """The derivatives of a monotone interpolant's slopes at its points with respect to its values, (n, n).
 
     With differences m_k over lengths h_k, the slope between two of the same sign is their weighted harmonic mean d:
     (w + v) / d = w / m_(k-1) + v / m_k, w = 2 h_k + h_(k-1), v = h_k + 2 h_(k-1); otherwise 0. At the ends it is that

@@ -1,6 +1,4 @@
-"""What a run can be differentiated with respect to: parameters, inputs, and initial values, from which dependent ones
-follow.
-"""
+"""What runs are differentiated with respect to: parameters, inputs, initial values."""
 
 from __future__ import annotations
 
@@ -43,9 +41,9 @@ __all__ = [
 
 Floats = NDArray[np.float64]
 
-OPEN_RATIO = 100.0
-"""Redundant constraints are satisfied to `Threshold.REDUNDANCY_RTOL`, and to this multiple of the violation of the
-state, since they may be redundant only where loops are closed."""
+OPEN_FACTOR = 100.0
+"""Redundant constraints are satisfied to `Threshold.REDUNDANCY_RTOL` plus this multiple of the violation of the state,
+since they may be redundant only where loops are closed."""
 
 MAX_COORDINATE_CHANGE = 1e-2
 """The largest change of a coordinate, after which redundant constraints are examined again."""
@@ -64,7 +62,7 @@ SMALL_AMPLITUDE_RATIO = 1e-3
 """Amplitudes of terms that depend on time are small below this fraction of the largest parameter or input; ..."""
 
 N_SMALL_AMPLITUDES = 4
-"""... so many directions are for them, since eight directions are varied at once."""
+"""... so many directions are for them, since JVPs take eight directions at once."""
 
 REGULAR_PIVOT_RATIO = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
@@ -273,9 +271,7 @@ def _implicit_derivatives(
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> tuple[Floats, list[str]]:
-    """Implicit derivatives, and the names of directions in which redundant constraints do not stay
-    satisfied.
-    """
+    """Implicit derivatives, and the names of directions that violate redundant constraints."""
     if not model.layout.n_dependent_coordinates + model.layout.n_dependent_speeds:
         return directions.matrix.copy(), []
     p = model.parameter_vector(parameters)
@@ -318,7 +314,7 @@ def _locked(
     Where they are satisfied at this state, they may be so to first order alone, as where parallel bars are upright:
     then they are violated after a finite change.
     """
-    allowed = Threshold.REDUNDANCY_RTOL + OPEN_RATIO * max(np.abs(change).max(initial=0.0), left[-1])
+    allowed = Threshold.REDUNDANCY_RTOL + OPEN_FACTOR * max(np.abs(change).max(initial=0.0), left[-1])
     is_left = left[:-1] > allowed
     if dependent.model.n_c > dependent.model.layout.n_dependent_speeds:
         is_left |= [dependent.opens(x, found, j, allowed) for j in range(len(is_left))]

@@ -29,7 +29,8 @@ MIN_COLUMN_RATIO = 0.05
 STEPS = (0.02, 0.1, 0.3)
 """Lengths of steps to positions nearby: rad, or lengths relative to the size of the linkage."""
 
-MAX_ATTEMPTS = 4
+N_ATTEMPTS = 4
+"""Of steps of each length."""
 MAX_ITERATIONS = 50
 CLOSURE_RTOL = 1e-11
 """Largest gap of a closed position, relative to the size of the linkage."""
@@ -134,7 +135,7 @@ def _null_space(matrix: Floats) -> Floats:
 def _nearby(tree: Tree, size: float, scales: Floats, free: Floats) -> Iterator[Floats]:
     """Closed positions that are reached by steps along random free motions."""
     generator = np.random.default_rng(0)
-    for length in STEPS * MAX_ATTEMPTS * bool(free.size):
+    for length in STEPS * N_ATTEMPTS * bool(free.size):
         step = free @ generator.standard_normal(free.shape[1])
         moved = tree.values + scales * length * step / np.linalg.norm(step)
         for _ in range(MAX_ITERATIONS):

@@ -104,10 +104,11 @@ class KeptSteps:
         wrt_states, wrt_outputs = np.zeros((n_t, model.n_x)), np.zeros((n_t, model.n_o))
         if is_mapping(cost):
             for name, values in named(cost, (*model.states, *model.outputs), "state or output").items():
-                row = numbers(values, f"The derivative of the cost by {name}")
+                row = numbers(values, f"The derivative of the cost with respect to {name}")
                 if row.shape not in ((), (n_t,)):
                     raise ModelError(
-                        f"The derivative of the cost by {name} must have the shape ({n_t},), not {row.shape}."
+                        f"The derivative of the cost with respect to {name} must have the shape ({n_t},), not "
+                        f"{row.shape}."
                     )
                 of, names = (wrt_states, model.states) if name in model.states else (wrt_outputs, model.outputs)
                 of[:, names.index(name)] = row

@@ -33,6 +33,8 @@ __all__ = ["WRITERS", "Trajectory", "make_trajectory"]
 
 INTERPOLATION_RTOL = 0.01
 """Interpolation errors of more than this share of a state's range cause a warning."""
+MIN_RANGE = 0.01
+"""Smaller ranges of states count as this, in rad, m, ..."""
 
 Floats = NDArray[np.float64]
 
@@ -349,8 +351,8 @@ class Trajectory:
         Parameters
         ----------
         cost : array_like, shape (n_x, n_t), or mapping
-            The derivatives of the cost by the states at ``t``; or from names of states and outputs to the derivatives
-            by these, each of shape (n_t,), or a number for all samples.
+            The derivatives of the cost with respect to the states at ``t``; or from names of states and outputs to the
+            derivatives with respect to these, each of shape (n_t,), or a number for all samples.
 
         Returns
         -------
@@ -467,7 +469,7 @@ class Trajectory:
         ----------
         path : str or Path
             The suffix selects the format: ``.csv`` (a row for each time, all digits: `columns`, and positions of
-            points, with the units of what the model does not name in brackets), ``.npz`` (NumPy, an array for
+            points, with the units of energies, momenta and positions in brackets), ``.npz`` (NumPy, an array for
             each name), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.html`` (interactive report),
             ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); the last three need the extra ``visual``, ``.mp4`` also
             FFmpeg. Missing folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an
@@ -660,7 +662,7 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
     slopes = 1.125 * np.diff(y) / h + 0.1875 * rates[0] - 0.3125 * rates[1]
     exact = np.transpose([ode(time, x) for time, x in zip(t[:-1] + h / 4.0, quarters.T, strict=True)])
     errors = np.nan_to_num(np.abs(slopes - exact) * h / 3.0).max(axis=1)
-    share = errors / np.maximum(np.ptp(y, axis=1), INTERPOLATION_RTOL)
+    share = errors / np.maximum(np.ptp(y, axis=1), MIN_RANGE)
     worst = int(np.argmax(share))
     if share[worst] > INTERPOLATION_RTOL:
         warnings.warn(

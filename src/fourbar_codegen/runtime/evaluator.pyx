@@ -16,7 +16,7 @@ from fourbar_codegen.errors import ModelError, SimulationError, shown
 cnp.import_array()
 
 cdef extern from "fourbar_dependent.h":
-    int FB_DETERMINATE
+    int FB_DETERMINED
     int FB_COORDINATES_UNDETERMINED
     int FB_SPEEDS_UNDETERMINED
     ctypedef struct fb_dependent:
@@ -32,7 +32,7 @@ cdef extern from "fourbar_dependent.h":
 cdef extern from "fourbar_batch.h":
     int fb_batch_functions_agree(const fb_batch_functions *) noexcept nogil
 
-_UNDETERMINED = {FB_DETERMINATE: "", FB_COORDINATES_UNDETERMINED: "coordinates", FB_SPEEDS_UNDETERMINED: "speeds"}
+_UNDETERMINED = {FB_DETERMINED: "", FB_COORDINATES_UNDETERMINED: "coordinates", FB_SPEEDS_UNDETERMINED: "speeds"}
 
 OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
@@ -527,7 +527,7 @@ cdef class Evaluator:
         t : float
             Time, s.
         x : array_like, shape (n_x,)
-            State: coordinates, then speeds.
+            State: coordinates, speeds, then auxiliary states.
         p : array_like, shape (n_p,), or mapping, optional
             Parameters: all in order, or some by name; the defaults otherwise.
         r : array_like, shape (n_r,), or mapping, optional
@@ -938,8 +938,8 @@ cdef class Evaluator:
             self.work)
         if status != FB_OK:
             raise SimulationError(self.failure(status, t, x))
-        wrt_state, by_p, wrt_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
-        return wrt_state, by_p + wrt_inputs @ wrt_parameters, wrt_inputs
+        wrt_state, wrt_p, wrt_inputs = np.split(gradient, (self.n_x, self.n_x + self.n_p))
+        return wrt_state, wrt_p + wrt_inputs @ wrt_parameters, wrt_inputs
 
     cdef cnp.ndarray _differentiate(self, int role, int columns, double t, x, p, r, cnp.ndarray multipliers=None):
         """The derivatives of x' from the partial Jacobian of a role; those of the multipliers go to an array."""
@@ -1065,6 +1065,8 @@ cdef class Evaluator:
         results = []
         for role, places in wanted.items():
             f = self.function(role)
+            if f.n_arguments:
+                raise ModelError(f"A function of the role {role} takes arguments, which have no values along a run.")
             arrays = []
             for j in range(f.n_results):
                 size = f.results[j].rows * (1 if f.results[j].columns == FB_VECTOR else f.results[j].columns)

@@ -27,7 +27,7 @@ typedef struct fb_adjoint {
     const double *sample_t, *wrt_states, *wrt_outputs; /* the latter (n_samples, n_o), or NULL */
     const double *output_t; /* their absolute times: at the end of a piece, outputs may be those after it */
     /* the results: with respect to the state where the sweep has arrived, to parameters, and for each source of an
-     * input by its value or its table's coefficients, then its values before and after */
+     * input to its value or its table's coefficients, then its values before and after */
     double *wrt_state, *wrt_parameters, **wrt_source;
     /* scratch */
     double *gradient, *other;          /* (n_x + n_p + n_r,) */
@@ -226,9 +226,9 @@ static inline int fb_interpolant_vjp(fb_run *s, fb_adjoint *a)
     if (m->hermite) {
         const double *const p0 = pieces, *const p1 = pieces + padded, *const p2 = pieces + 2 * padded;
         for (int i = 0; i < n; ++i) {
-            const double by_change = p0[i] - p1[i] + 2.0 * p2[i];
-            a->wrt_end[i] += by_change;
-            a->wrt_start[i] -= by_change;
+            const double wrt_change = p0[i] - p1[i] + 2.0 * p2[i];
+            a->wrt_end[i] += wrt_change;
+            a->wrt_start[i] -= wrt_change;
             a->wrt_stages[i] += s->h * (p1[i] - p2[i]);
             a->wrt_stages[end * padded + i] -= s->h * p2[i];
         }
@@ -257,21 +257,21 @@ static inline int fb_samples_within_vjp(fb_run *s, fb_adjoint *a, const long fir
     int status = fb_evaluate(s, s->t, s->x, s->stages + m->n_stages * s->padded);
     memset(a->wrt_pieces, 0, (size_t)(n_pieces * s->padded) * sizeof *a->wrt_pieces);
     for (long sample = first; sample < end && status == FB_OK; ++sample) {
-        double *const at = a->at, *const by_sample = s->along;
+        double *const at = a->at, *const wrt_sample = s->along;
         status = fb_state_at(s, a->sample_t[sample], at);
-        memset(by_sample, 0, (size_t)n * sizeof *by_sample);
+        memset(wrt_sample, 0, (size_t)n * sizeof *wrt_sample);
         if (status == FB_OK)
-            status = fb_sample_vjp(s->problem, a, sample, at, by_sample);
+            status = fb_sample_vjp(s->problem, a, sample, at, wrt_sample);
         if (status == FB_OK && s->project)
-            status = fb_projection_vjp(s->problem, a, a->sample_t[sample], at, by_sample);
+            status = fb_projection_vjp(s->problem, a, a->sample_t[sample], at, wrt_sample);
         /* the factors of fb_interpolate */
         const double y = (a->sample_t[sample] - s->t_old) / s->h;
         double factor = 1.0;
         for (int k = 0; k < n_pieces; ++k) {
             factor *= m->hermite && (n_pieces - 1 - k) % 2 ? 1.0 - y : y;
-            fb_add_scaled(n, factor, by_sample, a->wrt_pieces + k * s->padded);
+            fb_add_scaled(n, factor, wrt_sample, a->wrt_pieces + k * s->padded);
         }
-        fb_add_scaled(n, 1.0, by_sample, a->wrt_start);
+        fb_add_scaled(n, 1.0, wrt_sample, a->wrt_start);
     }
     return status == FB_OK ? fb_interpolant_vjp(s, a) : status;
 }

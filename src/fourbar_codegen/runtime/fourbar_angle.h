@@ -1,6 +1,5 @@
-/* Inline sine and cosine for code that needs both of many angles, by fourbar_sine.h: four angles in the lanes of a
- * SIMD vector, or, for batches, one angle of each state. Angles that are large or not finite are left to the
- * library.
+/* Inline sine and cosine for code that needs both of many angles, by fourbar_sine.h: four angles in the lanes of a SIMD
+ * vector, or, for batches, one angle of each state. Angles that are large or not finite are left to the library.
  */
 #ifndef FOURBAR_ANGLE_H
 #define FOURBAR_ANGLE_H

@@ -25,8 +25,8 @@ static inline double fb_entry(const fb_batch_array *array, const int row, const 
 typedef struct fb_batch {
     const fb_kernel *kernel;
     long n;
-    fb_batch_array t, x, p,
-        r;         /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
+    /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
+    fb_batch_array t, x, p, r;
     double *rates; /* (n_x, n), NaN where the equations cannot be evaluated */
 } fb_batch;
 

@@ -15,7 +15,7 @@
 
 #include <string.h>
 
-enum FB_DEPENDENT { FB_DETERMINATE = 0, FB_COORDINATES_UNDETERMINED = 1, FB_SPEEDS_UNDETERMINED = 2 };
+enum FB_DEPENDENT { FB_DETERMINED = 0, FB_COORDINATES_UNDETERMINED = 1, FB_SPEEDS_UNDETERMINED = 2 };
 
 typedef struct fb_dependent {
     int n_qd, n_ud, n; /* the numbers of dependent coordinates and speeds, and of directions */
@@ -156,7 +156,7 @@ static inline int fb_implicit_derivatives(const fb_kernel *k, const double t, co
             return FB_SPEEDS_UNDETERMINED;
         fb_store_dependent(f, u_d, f->n_ud, f->corrections + f->n_qd);
     }
-    return FB_DETERMINATE;
+    return FB_DETERMINED;
 }
 
 #endif

@@ -317,7 +317,7 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
                 if (fb_eliminate(now, &factors) != FB_OK ||
                     fb_signed_pivot(now, &units, factors.column) * fb_signed_pivot(before, &units, factors.column) <
                         0.0 ||
-                    fb_is_close_by(now, &units, c->largest_pivot[lane]))
+                    fb_is_near_singular(now, &units, c->largest_pivot[lane]))
                     changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)

@@ -31,7 +31,7 @@ typedef struct fb_implicit {
     double *coordinate_rates, *mass_matrix, *forcing, *jacobian, *bias; /* q', M, f, J, gamma */
     double *positions, *position_jacobian;                              /* Phi, dPhi/dq */
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative with respect to q */
-    double *rate_jacobian, *residual_jacobian;                          /* from fb_sensitivity */
+    double *rate_jacobian, *residual_jacobian;                          /* from FB_STATE_PARTIALS */
     double *state_rates, *wrt_accelerations, *wrt_multipliers;          /* z', dz'/du', dz'/dlambda */
     double *effect, *effect_jacobian;                                   /* F, dF/dn */
     double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */

@@ -606,7 +606,7 @@ static inline int fb_toggled_within(fb_run *s)
  * steadily, its own errors do not limit the steps at all. At a kink of a force, a derivative that was zero before may
  * have an error of its own size at any length of the step: after some attempts, it is compared with the size that it
  * reaches within a fraction of the first of them. */
-static inline int fb_varied_step_on(fb_run *s)
+static inline int fb_differentiated_step_on(fb_run *s)
 {
     double soon = 0.0;
     for (int attempt = 0;; ++attempt) {
@@ -672,7 +672,7 @@ static inline int fb_run_on(fb_run *s, long n)
             s->collapsed = 0;
         if (s->forward && s->n_steps - s->marked == FB_WINDOW && fb_derivatives_collapsed(s))
             return FB_RUN_COLLAPSED;
-        int status = fb_varied_step_on(s);
+        int status = fb_differentiated_step_on(s);
         if (status != FB_RUN_PAUSED)
             return status;
         if (s->steps)

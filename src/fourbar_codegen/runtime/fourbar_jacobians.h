@@ -6,7 +6,7 @@
 #include "fourbar_batch.h"
 #include "fourbar_implicit.h"
 
-enum FB_VARIABLES { FB_BY_STATE = 0, FB_WRT_PARAMETERS = 1, FB_WRT_INPUTS = 2 };
+enum FB_VARIABLES { FB_WRT_STATE = 0, FB_WRT_PARAMETERS = 1, FB_WRT_INPUTS = 2 };
 
 typedef struct fb_jacobians {
     const fb_kernel *kernel; /* with derivatives, and with their products for the residual */
@@ -18,14 +18,14 @@ typedef struct fb_jacobians {
     double *of_rates, *of_outputs;     /* (n, n_x, m), (n, n_o, m); NaN where there are none; NULL for the residual */
     int formulation;                   /* FB_FORMULATION of the residual */
     double *residual;                  /* (n, n_y), or NULL */
-    double *wrt_state, *wrt_rate; /* (n, n_y, n_y) and (n, n_y, n_y), with respect to (x, lambda) and x'; or NULL */
-    double *wrt_parameters, *wrt_inputs; /* (n, n_y, n_p), (n, n_y, n_r); or NULL */
+    /* with respect to (x, lambda) and to x', (n, n_y, n_y); to p and r, (n, n_y, n_p), (n, n_y, n_r); or NULL */
+    double *wrt_state, *wrt_rate, *wrt_parameters, *wrt_inputs;
 } fb_jacobians;
 
 typedef struct fb_jacobian_work {
     double *x, *rates, *p, *r, *constants, *accelerations, *multipliers, *of_multipliers, *more;
-    double *input_jacobian, *partial, *wrt_accelerations, *wrt_multipliers, *directions, *changes, *wrt_state,
-        *wrt_inputs;
+    double *input_jacobian, *partial, *wrt_accelerations, *wrt_multipliers, *directions, *changes;
+    double *wrt_state, *wrt_inputs;
     void *work;
 } fb_jacobian_work;
 

@@ -154,11 +154,11 @@ typedef struct fb_kernel {
     /* Mass-orthogonal projection of x, which has drifted, onto the constraints. `factors_valid`: rhs was called with
      * the same `work` at a state close to x. */
     int (*project)(double t, double *x, const double *constants, const double *r, int factors_valid, void *work);
-    /* Whether the sign of det J_d may have changed since the last call: whether the determinant of the
-     * columns of J that the last rhs with `work` took as dependent has changed its sign. Then J has lost rank in
-     * between, or a long step has passed a toggle position of these speeds. Also true if J has changed by as much as
-     * its own size, so that the sign is not conclusive; or if J is close to losing rank, where rounding errors of
-     * closed loops may lead around the singular position. */
+    /* Whether the sign of det J_d may have changed since the last call: whether the determinant of the columns of J
+     * that the last rhs with `work` took as dependent has changed its sign. Then J has lost rank in between, or a long
+     * step has passed a toggle position of these speeds. Also true if J has changed by as much as its own size, so that
+     * the sign is not conclusive; or if J is close to losing rank, where rounding errors of closed loops may lead
+     * around the singular position. */
     int (*toggled)(void *work);
     const fb_function *functions;              /* FB_N_ROLES */
     const fb_part *derivatives;                /* or NULL, if they are in a library of their own; ... */

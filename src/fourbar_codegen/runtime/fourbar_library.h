@@ -17,8 +17,7 @@
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
 
 /* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
- * number of their breakpoints, and next_change, the next of these times between two others, or the second
- * one. */
+ * number of their breakpoints, and next_change, the next of these times between two others, or the second one. */
 #ifndef FB_CHANGES
 #define FB_CHANGES 0
 #define FB_CALLED_INPUTS NULL

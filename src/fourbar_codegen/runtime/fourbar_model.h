@@ -103,7 +103,7 @@ static inline int factor_at(double t, const double *x, const double *constants, 
         constraint_scale(t, x, constants, r, scale, unused[0], unused[1]);
         /* The effect of a violation on rows grows by the division by pivots. */
         const double inverse = N_RANK > 0 ? fabs(w->factors.inverse[FB_AT_LEAST_1(N_RANK) - 1]) : 1.0;
-        if (!(w->factors.left <= FB_REDUNDANCY_RTOL + FB_OPEN_RATIO * inverse * fb_violation(positions, scale, N_H)))
+        if (!(w->factors.left <= FB_REDUNDANCY_RTOL + FB_OPEN_FACTOR * inverse * fb_violation(positions, scale, N_H)))
             return FB_CONSTRAINTS_INDEPENDENT;
     }
 #else
@@ -316,7 +316,7 @@ static int toggled(void *work)
             return 1;
         const double now = fb_signed_pivot(w->constraint_jacobian, &w->units, columns);
         result = fabs(now) < FB_NEAR_SINGULAR_RATIO * w->largest_pivot &&
-                 fb_is_close_by(w->constraint_jacobian, &w->units, w->largest_pivot);
+                 fb_is_near_singular(w->constraint_jacobian, &w->units, w->largest_pivot);
         if (w->largest_pivot > 0.0) {
             /* It is known if both have the static pivot order. */
             const int known = fb_is_static(&w->factors) && w->was_static;

@@ -1,6 +1,6 @@
-/* The part of fourbar_recursive.h after W = M^-1 J^T is known, common to single states and lanes:
- * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
- * FB_RESPONSE(s, j, i) is an entry of W. FB_REQUIRE(s, condition) handles values that do not satisfy a condition.
+/* The part of fourbar_recursive.h after W = M^-1 J^T is known, common to single states and lanes: FB_VALUE is a double
+ * or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function. FB_RESPONSE(s, j, i) is
+ * an entry of W. FB_REQUIRE(s, condition) handles values that do not satisfy a condition.
  */
 
 /* Smallest pivot of A relative to its diagonal for which its factors are used. */

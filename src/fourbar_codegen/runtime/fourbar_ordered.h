@@ -10,10 +10,9 @@
  * it. If the factorization fails, the constraints are dependent at this state. With FB_EARLY, constraints come before
  * some of their speeds; if it fails, they are dependent, or have small pivots, without these speeds.
  *
- * Common to single states and lanes: FB_VALUE is a double or a vector of them, FB_FACTORS the type of the
- * factors, FB_OF(name) the name of a function. FB_REQUIRE(s, condition, status), defined before inclusion, handles
- * values that do not satisfy a condition, FB_SELECT(condition, yes, no) is one of two values, FB_ABS(value) the
- * absolute one.
+ * Common to single states and lanes: FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors,
+ * FB_OF(name) the name of a function. FB_REQUIRE(s, condition, status), defined before inclusion, handles values that
+ * do not satisfy a condition, FB_SELECT(condition, yes, no) is one of two values, FB_ABS(value) the absolute one.
  *
  * The model's tables are:
  *   mass_row, mass_column         rows and columns of the entries of M on and below the diagonal
@@ -135,7 +134,6 @@ static FB_INLINE void FB_OF(fb_solve_ordered)(const FB_VALUE *restrict forcing,
             accelerations[unknown[k]] = y[k];
 }
 
-#undef FB_ROW_RTOL
 #undef FB_PIVOT_RATIO
 #undef FB_EARLY_PIVOT_RATIO
 #undef FB_VALUE

@@ -2,7 +2,8 @@
  * JavaScript writes into memory, and runs of it at given times.
  *
  * Included once, after fourbar_model.h and the model's derivatives, in place of fourbar_library.h, by a source that
- * defines what that needs. JavaScript provides the memory of times, states and rows, behind `__heap_base`.
+ * defines what that needs, `velocity_rows` (N_VELOCITY_ROWS), and `fill_vectors` (N_VECTORS). JavaScript provides the
+ * memory of times, states and rows, behind `__heap_base`.
  */
 #ifndef FOURBAR_PAGE_H
 #define FOURBAR_PAGE_H
@@ -179,8 +180,8 @@ int FB_EXPORT(close_loops)(const double t)
     return FB_PUBLIC(close)(&mechanism);
 }
 
-/* The sign of the determinant of the derivatives of the position constraints by the dependent coordinates: an assembly
- * mode keeps it as long as it is not followed through a singular position. 0 if unknown. */
+/* The sign of the determinant of the derivatives of the position constraints with respect to the dependent coordinates:
+ * an assembly mode keeps it as long as it is not followed through a singular position. 0 if unknown. */
 int FB_EXPORT(sign_of_determinant)(void)
 {
     enum { N = N_DEPENDENT_COORDINATES };

@@ -1,5 +1,5 @@
-/* The part of fourbar_solve.h after the choice of a pivot order, common to single states and lanes:
- * FB_VALUE is a double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
+/* The part of fourbar_solve.h after the choice of a pivot order, common to single states and lanes: FB_VALUE is a
+ * double or a vector of them, FB_FACTORS the type of the factors, FB_OF(name) the name of a function.
  * FB_REQUIRE_POSITIVE(s, value), defined before inclusion, handles values that are not positive. If FB_SIDE is defined,
  * only `fb_back` is, for right-hand sides of this type.
  *

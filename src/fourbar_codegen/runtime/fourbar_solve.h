@@ -44,12 +44,13 @@ enum { N_MASS = N_U * N_U };
  * smaller than where positions count as singular, and larger than the gap between two branches that meet there, since
  * rounding errors of closed loops separate the branches by the square root of their size. */
 #define FB_NEAR_SINGULAR_RATIO 1e-5
-/* The static pivot order is used if no row, after elimination, is below this fraction of its size before. */
+/* The static pivot order is used if no row is below this fraction of the largest, and no pivot below this fraction of
+ * its row's size before elimination. */
 #define FB_NEAR_DEPENDENCE_RTOL 1e-6
 
 /* The bound of redundant rows of J after elimination is FB_REDUNDANCY_RTOL for closed loops; for open loops, this
  * multiple of their violation is added. */
-#define FB_OPEN_RATIO 1e4
+#define FB_OPEN_FACTOR 1e4
 
 /* Without a mass matrix, a pivot of M below this fraction of the largest one, which may have another unit, is compared
  * with M: if M is singular, rounding errors decide about the sign of its pivots. */
@@ -258,7 +259,8 @@ static inline double fb_signed_pivot(const double *restrict jacobian, const fb_u
 
 /* Whether J is close to losing rank, given the largest signed pivot of the run, for the pivots that are largest in
  * these units. Another choice of the dependent speeds can be small where J has full rank. */
-static inline int fb_is_close_by(const double *restrict jacobian, const fb_units *restrict units, const double largest)
+static inline int fb_is_near_singular(const double *restrict jacobian, const fb_units *restrict units,
+                                      const double largest)
 {
     double scaled[FB_AT_LEAST_1(N_C * N_U)];
     fb_factors factors;

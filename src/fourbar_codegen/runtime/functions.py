@@ -149,8 +149,8 @@ class Functions(Evaluator):
         r: Values | None = None,
     ) -> tuple[Floats, Floats, Floats]:
         """q'', shape (n_q,), and velocities and accelerations of the drawn points, (n_points, 3), with u' given."""
-        second, velocities, of_points = self.evaluate(Role.MOTION, t, x, p, r, accelerations)
-        return second, velocities, of_points
+        second, velocities, of_velocities = self.evaluate(Role.MOTION, t, x, p, r, accelerations)
+        return second, velocities, of_velocities
 
     def outputs_for(
         self,

@@ -405,7 +405,7 @@ cdef class Ode:
         return result.T
 
     def toggled(self):
-        """Whether the sign of det J_d has changed since the last call: see `fb_kernel`."""
+        """Whether the sign of det J_d may have changed since the last call: see `fb_kernel`."""
         return bool(self.problem.kernel.toggled(self.problem.work))
 
     def closest(self, t, x):
@@ -1022,7 +1022,7 @@ cdef class Run:
 
     @property
     def toggled(self):
-        """Whether the sign of det J_d has changed in the last step."""
+        """Whether the sign of det J_d may have changed in the last step."""
         return bool(self.run.toggled)
 
     @property
@@ -1133,10 +1133,10 @@ cdef class Steps:
         Returns
         -------
         wrt_start : ndarray, shape (n_x,)
-            By the initial state.
+            With respect to the initial state.
         wrt_parameters : ndarray, shape (n_p,)
         wrt_sources : list of ndarray
-            For each input by its value, shape (1,); or by the coefficients of its table, interval by interval, then its
+            For each input with respect to its value, shape (1,); or by the coefficients of its table, interval by interval, then its
             values before and after; None without a source.
 
         Raises

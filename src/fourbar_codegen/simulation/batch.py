@@ -1,4 +1,4 @@
-"""The right-hand side, its Jacobians and the residual at batches of states, on all cores."""
+"""The right-hand side, its Jacobians and the residual at batches of states, on one core or more."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 END, PAUSED, FULL, EVENT = StopReason.END, StopReason.PAUSED, StopReason.FULL, StopReason.EVENT
 COLLAPSED, DIVERGED = StopReason.COLLAPSED, StopReason.DIVERGED
 
-PAUSE = 0.02
+PAUSE_SECONDS = 0.02
 """Seconds after which a run in C returns to Python, for keyboard interrupts and progress."""
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
@@ -154,7 +154,7 @@ def integrate(
         begin = time.perf_counter()
         reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
         now = time.perf_counter()
-        if progress is not None and now - noted >= PAUSE:
+        if progress is not None and now - noted >= PAUSE_SECONDS:
             progress(run.t)
             noted = now
         if reason is EVENT:
@@ -174,7 +174,7 @@ def integrate(
         elif reason is FULL:
             samples.append(run.take_samples())
         elif reason is PAUSED:
-            steps = round(min(max(steps * PAUSE / (now - begin), 1), 4 * steps))
+            steps = round(min(max(steps * PAUSE_SECONDS / (now - begin), 1), 4 * steps))
             if run.n_steps == max_steps:
                 outcome = -1, f"max_steps = {max_steps} is reached; None is no limit."
         elif reason is END:

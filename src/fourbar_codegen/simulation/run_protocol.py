@@ -50,7 +50,7 @@ class Integration(Protocol):
 
     @property
     def toggled(self) -> bool:
-        """Whether the sign of det J_d, sign(det J_d), has changed in the last step."""
+        """Whether the sign of det J_d may have changed in the last step."""
 
     def begin(self) -> None:
         """Prepare for the first step."""

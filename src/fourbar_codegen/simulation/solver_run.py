@@ -164,7 +164,7 @@ class SolverRun:
         return self._t_bound if since == self._bound else self._origin + since
 
     def _toggled(self) -> bool:
-        """Whether the sign of det J_d has changed since the last call, also within the step."""
+        """Whether the sign of det J_d may have changed since the last call, also within the step."""
         if not self._toggled_at(1.0) or self.n_steps == 0:
             return False
         self.ode(self._since_old, self._x_old)

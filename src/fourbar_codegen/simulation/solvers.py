@@ -141,7 +141,7 @@ class _Explicit(_Compiled):
         self.nfev += evaluations
         if reason == StopReason.INFINITE:
             return False, "The step size is not finite: give a finite end, or max_step."
-        if reason == StopReason.TOO_SMALL:
+        if reason != StopReason.PAUSED:
             return False, self.TOO_SMALL_STEP
         self.h_previous, self.y_old = h, self.y
         self.t, self.h_abs, self.y, self.f = t, h_abs, y, self.K[-1].copy()

@@ -1127,8 +1127,12 @@ cdef class Steps:
         return np.array(self.ends[last, 2:]), float(self.ends[last, 0])
 
     def gradient(self, wrt_states, wrt_outputs=None):
-        """The gradient of a cost from its derivatives with respect to the samples' states, (n_t, n_x), and outputs,
-        (n_t, n_o).
+        """The gradient of a cost, from its derivatives at the samples.
+
+        Parameters
+        ----------
+        wrt_states : array_like, shape (n_t, n_x)
+        wrt_outputs : array_like, shape (n_t, n_o), optional
 
         Returns
         -------
@@ -1136,8 +1140,8 @@ cdef class Steps:
             With respect to the initial state.
         wrt_parameters : ndarray, shape (n_p,)
         wrt_sources : list of ndarray
-            For each input with respect to its value, shape (1,); or by the coefficients of its table, interval by interval, then its
-            values before and after; None without a source.
+            For each input, with respect to its value, shape (1,); or to the coefficients of its table, interval by
+            interval, then its values before and after; None without a source.
 
         Raises
         ------

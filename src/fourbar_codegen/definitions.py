@@ -23,7 +23,7 @@ def definitions_text(layout: Layout) -> str:
     initial = ", ".join(_number(layout.initial.get(name, 0.0)) for name in names)
     defaults = ", ".join(_number(entry.default) for entry in layout.parameters) or "0.0"
     given = ", ".join(str(int(entry.expression is not None)) for entry in layout.inputs) or "0"
-    moves = ", ".join(str(int(e.of in layout.has_rates and e.order < 2)) for e in layout.inputs) or "0"
+    rates = ", ".join(str(int(e.of in layout.has_rates and e.order < 2)) for e in layout.inputs) or "0"
     return f"""
 enum {{
     N_DEPENDENT_COORDINATES = {layout.n_dependent_coordinates},
@@ -34,7 +34,7 @@ enum {{
 static const double default_parameters[] = {{{defaults}}};
 static const double initial_state[] = {{{initial}}};
 static const int has_expression[] = {{{given}}};
-static const int is_prescribed[] = {{{moves}}}; /* whether an input is a prescribed position or speed */
+static const int has_next_rate[] = {{{rates}}}; /* whether an input has a rate that is an input too */
 """
 
 

@@ -2,7 +2,7 @@
  *
  * Included once, after fourbar_model.h, by a source that defines FB_MODEL, the name of the model and of the structure
  * that its header declares (FB_WITHOUT_HEADER declares it here); N_DEPENDENT_COORDINATES, N_DEPENDENT_SPEEDS and
- * N_MOTION_BREAKPOINTS; and initial_state, default_parameters, has_expression and is_prescribed. Public names begin
+ * N_MOTION_BREAKPOINTS; and initial_state, default_parameters, has_expression and has_next_rate. Public names begin
  * with that of the model. Memory is the caller's, in one piece, whose pointers are set anew in each call, so that a
  * copy of it is a copy of the mechanism in its present state. Every loop ends after a constant number of turns.
  */
@@ -286,7 +286,7 @@ static int jumps_at(const fb_problem *problem, const double t)
         int held = 0;
         for (int k = 0; k < problem->n_sources; ++k)
             held |= problem->sources[k].input == i;
-        if (is_prescribed[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
+        if (has_next_rate[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
             return 1;
     }
     return 0;

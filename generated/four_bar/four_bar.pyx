@@ -494,6 +494,7 @@ manifest = (
     '    }\n'
     '  ],\n'
     '  "not_drawn": [],\n'
+    '  "is_drawn_at_rest": true,\n'
     '  "gravity": [\n'
     '    0,\n'
     '    -1,\n'

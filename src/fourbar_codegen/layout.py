@@ -236,6 +236,8 @@ class Drawing:
     shapes : tuple of Shape
     not_drawn : tuple of str
         Points whose position relative to a fixed point is not known.
+    is_at_rest : bool
+        Whether the point that positions are relative to stays at rest; a wheel's contact point does not.
     forced_points : tuple of int
         Those on which forces of inputs act.
     gravity : tuple of float or None
@@ -245,6 +247,7 @@ class Drawing:
     points: tuple[Point, ...]
     shapes: tuple[Shape, ...]
     not_drawn: tuple[str, ...]
+    is_at_rest: bool
     forced_points: tuple[int, ...]
     gravity: tuple[float, ...] | None
 
@@ -487,6 +490,7 @@ class Layout:
             "geometry": [*self.geometry],
             "shapes": [{"kind": s.kind.value, "name": s.name, "points": [*s.points]} for s in drawing.shapes],
             "not_drawn": [*drawing.not_drawn],
+            "is_drawn_at_rest": drawing.is_at_rest,
             "gravity": _listed(drawing.gravity),
             "forced_points": [*drawing.forced_points],
             "initial": {**self.initial},
@@ -562,6 +566,7 @@ class Layout:
                 points=tuple(_point(_object(entry)) for entry in _list(data["points"])),
                 shapes=tuple(_shape(_object(entry)) for entry in _list(data["shapes"])),
                 not_drawn=_each(str, data["not_drawn"]),
+                is_at_rest=_one(bool, data["is_drawn_at_rest"]),
                 forced_points=_each(int, data["forced_points"]),
                 gravity=None if gravity is None else _numbers(gravity),
             ),

@@ -62,6 +62,7 @@ def manifest(rows):
         "geometry": ["l"],
         "shapes": [{"kind": "link", "name": "rod", "points": [0, 1]}],
         "not_drawn": [],
+        "is_drawn_at_rest": True,
         "gravity": [0, -1, 0],
         "forced_points": [1],
         "initial": {"x": 0.3, "y": -0.7, "u_x": 0.0},

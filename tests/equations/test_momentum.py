@@ -112,6 +112,45 @@ def test_angular_momentum_about_a_fixed_point_that_is_not_connected_is_nan():
         np.testing.assert_array_equal(about_centre, np.zeros(3))
 
 
+def test_rolling_disc_has_a_momentum_and_a_spin_but_no_velocities_relative_to_its_contact_point():
+    """SymPy's rolling disc, with the contact point as origin, which is at rest for a moment: p = m w x r, S = I w.
+
+    Source: https://docs.sympy.org/latest/explanation/modules/physics/mechanics/examples/rollingdisc_example_kane.html
+    """
+    q, u = me.dynamicsymbols("q1:4"), me.dynamicsymbols("u1:4")
+    r, m, g = sm.symbols("r m g")
+    ground = me.ReferenceFrame("N")
+    yaw = ground.orientnew("Y", "Axis", [q[0], ground.z])
+    lean = yaw.orientnew("L", "Axis", [q[1], yaw.x])
+    disc = lean.orientnew("R", "Axis", [q[2], lean.y])
+    disc.set_ang_vel(ground, u[0] * lean.x + u[1] * lean.y + u[2] * lean.z)
+    contact = me.Point("C")
+    contact.set_vel(ground, 0)
+    centre = contact.locatenew("centre", r * lean.z)
+    centre.v2pt_theory(contact, ground, disc)
+    inertia = me.inertia(lean, m * r**2 / 4, m * r**2 / 2, m * r**2 / 4)
+    kinematic = [
+        q[0].diff(T) - u[2] / sm.cos(q[1]),
+        q[1].diff(T) - u[0],
+        q[2].diff(T) - u[1] + u[2] * sm.tan(q[1]),
+    ]
+    body = me.RigidBody("disc", centre, disc, m, (inertia, centre))
+    kane = me.KanesMethod(
+        ground, q_ind=q, u_ind=u, kd_eqs=kinematic, bodies=[body], forcelist=[(centre, -m * g * ground.z)]
+    )
+    model = fb.compile_model(fb.Model(kane, name="rolling", parameters={r: 0.5, m: 2.0, g: 9.81}))
+    x = np.array([0.1, 0.2, 0.3, 1.0, 2.0, 3.0])
+    momentum, about_contact, spin = model.momentum(0.0, x)
+    turned = sm.lambdify([q], ground.dcm(lean))(x[:3])
+    np.testing.assert_allclose(momentum, 2.0 * turned @ np.cross(x[3:], [0.0, 0.0, 0.5]), rtol=1e-13, atol=1e-15)
+    np.testing.assert_allclose(spin, turned @ (0.5 * np.array([0.25, 0.5, 0.25]) * x[3:]), rtol=1e-13, atol=1e-15)
+    assert np.isnan(about_contact).all()
+    run = model.simulate((0.0, 0.5), x)
+    assert run.points["centre"].shape == run.velocities["centre"].shape == (3, len(run.t))
+    assert np.isnan(run.velocities["centre"]).all()
+    assert np.isnan(run.accelerations["centre"]).all()
+
+
 def test_components_with_parameters_that_nothing_else_needs_are_nan():
     """SymPy's RigidBody has six symbols of inertia; of a rod that turns about one axis, the motion needs one."""
     m, g = sm.symbols("m g")

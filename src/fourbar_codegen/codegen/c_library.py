@@ -199,7 +199,7 @@ const char *${name}_message(int status);
 
 /* In ${name}_derivatives.c, which may be left out: the derivatives of dx/dt with respect to states, parameters and
  * inputs, ${name}_n_x rows each, those with respect to parameters also through the expressions of inputs that are not
- * held; and the positions of points, three coordinates each. */
+ * held; and the positions of points, three coordinates each$points. */
 int ${name}_jacobian(struct $name *model, double *jacobian);
 int ${name}_parameter_jacobian(struct $name *model, double *jacobian);
 int ${name}_input_jacobian(struct $name *model, double *jacobian);
@@ -388,6 +388,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         bytes=_memory(program),
         outputs=outputs if sizes.n_o else "",
         left_out=_left_out(layout),
+        points=_points(layout),
         quantities=_declared_quantities(name),
     )
 
@@ -429,6 +430,12 @@ def _quantities(name: str) -> str:
 }}
 """
     return text
+
+
+def _points(layout: Layout) -> str:
+    """The names of points in their order, for a comment."""
+    names = ", ".join(_plain(point.name) or f"point {k}" for k, point in enumerate(layout.drawing.points))
+    return ":\n * " + "\n * ".join(textwrap.wrap(names, 110)) if names else ""
 
 
 def _left_out(layout: Layout) -> str:

@@ -122,6 +122,7 @@ def _drawing(model: Model, equations: Equations) -> Drawing:
         points=tuple(Point(name, point.body) for name, point in zip(names, picture.points, strict=True)),
         shapes=tuple(Shape(ShapeKind(shape.kind), shape.name, tuple(shape.points)) for shape in picture.shapes),
         not_drawn=tuple(picture.not_drawn),
+        is_at_rest=picture.is_at_rest,
         forced_points=equations.drawing.forced,
         gravity=gravity(mechanism.loads, mechanism.bodies, _values(model), mechanism.time),
     )

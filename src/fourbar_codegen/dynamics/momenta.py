@@ -30,8 +30,9 @@ def form_momenta(kane: Kane, picture: Picture, variables: Variables) -> tuple[Re
     tuple of Result
         p = sum m v_C; L_O = sum (r_C x m v_C + I_C w) about the fixed point; L_C = L_O - r x p about the mass centre
         r = sum m r_C / sum m. L_O and L_C are NaN if the position of a mass centre is not known, L_O also if it is
-        known relative to another point than the System's fixed one; and so are components that contain other parameters
-        or inputs than `variables`: nobody has asked for values of these.
+        known relative to another point than the System's fixed one, or to one that moves, such as a wheel's contact
+        point; and so are components that contain other parameters or inputs than `variables`: nobody has asked for
+        values of these.
     """
     kinematics, tape = kane.kinematics, kane.tape
     places = {point.number: place for place, point in enumerate(picture.points) if point.number is not None}
@@ -53,7 +54,8 @@ def form_momenta(kane: Kane, picture: Picture, variables: Variables) -> tuple[Re
     about_centre = nan
     if is_known and total:
         about_centre = add(angular, negative(cross(scale(tape.one / total, moments), linear)))
-    about_origin = angular if is_known and kinematics.mechanism.is_origin_fixed else nan
+    is_fixed = picture.is_at_rest and kinematics.mechanism.is_origin_fixed is not False
+    about_origin = angular if is_known and is_fixed else nan
     known = {leaf.node for leaf in (*variables.parameters, *variables.inputs)}
     vectors = {"momentum": linear, "angular_momentum": about_origin, "spin": about_centre}
     reached = tape.reach(entry for entries in vectors.values() for entry in entries)

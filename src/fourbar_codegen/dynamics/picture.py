@@ -28,12 +28,16 @@ class Picture:
         Links, guides, springs and dampers, by the points' numbers.
     not_drawn : tuple of str
         Names of the points that are left out.
+    is_at_rest : bool
+        Whether the point that positions are relative to stays at rest: the System's fixed point, or one of which the
+        positions of bodies change with their velocities. A wheel's contact point is at rest for a moment.
     """
 
     points: tuple[DrawnPoint, ...]
     positions: tuple[Components, ...]
     shapes: tuple[Shape, ...]
     not_drawn: tuple[str, ...]
+    is_at_rest: bool
 
 
 def find_picture(mechanism: Mechanism, kinematics: Kinematics) -> Picture:
@@ -55,11 +59,13 @@ def find_picture(mechanism: Mechanism, kinematics: Kinematics) -> Picture:
         if len(known) == len(shape.points) or (shape.kind in ("ground", "link") and known):
             shapes.append(replace(shape, points=known))
     unknown = [point.name for number, point in enumerate(mechanism.drawn) if number not in positions and point.name]
+    moving = [body.point for body in mechanism.bodies if kinematics.moves(body.point)]
     return Picture(
         tuple(mechanism.drawn[number] for number in order),
         tuple(positions[number] for number in order),
         tuple(shapes),
         (*mechanism.not_drawn, *unknown),
+        bool(mechanism.is_origin_fixed) or all(map(kinematics.moves_as_placed, moving)),
     )
 
 

@@ -632,7 +632,8 @@ class Kernel(Functions):
             p = sum m v, kg m/s.
         angular_momentum : ndarray, shape (3,)
             L_O = sum (r x m v + I w), kg m^2/s, about the System's fixed point; of a KanesMethod, about the point at
-            rest that positions refer to. NaN if the position of a mass centre relative to it is not known.
+            rest that positions refer to. NaN if the position of a mass centre relative to it is not known, or if it
+            moves, as a wheel's contact point does.
         spin : ndarray, shape (3,)
             L_C = L_O - r x p about the mass centre r of these bodies, kg m^2/s. NaN also if their total mass is zero.
 

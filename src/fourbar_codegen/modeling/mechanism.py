@@ -237,9 +237,9 @@ class Mechanism:
         Names of points that are not drawn since nothing else uses a frame in which their positions are written.
     length_laws : tuple of LengthLaw
         For the potential energy. They are left out of the fingerprint, so that runs that were saved without them load.
-    is_origin_fixed : bool
-        Whether positions of drawn points are relative to the System's fixed point, or to a point at rest of a
-        KanesMethod, which has none; not where a System's fixed point is not connected to the bodies. Also left out.
+    is_origin_fixed : bool or None
+        Whether positions of drawn points are relative to the System's fixed point, or to another point at rest since
+        that is not connected to the bodies; None for a KanesMethod, which has no fixed point. Also left out.
     """
 
     time: sm.Symbol
@@ -264,7 +264,7 @@ class Mechanism:
     shapes: tuple[Shape, ...]
     not_drawn: tuple[str, ...]
     length_laws: tuple[LengthLaw, ...] = field(hash=False)
-    is_origin_fixed: bool = field(hash=False)
+    is_origin_fixed: bool | None = field(hash=False)
 
     @property
     def states_velocity_constraints(self) -> bool:

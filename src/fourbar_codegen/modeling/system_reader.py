@@ -83,7 +83,8 @@ def read_mechanism(
             f"A Model needs a System or a KanesMethod of sympy.physics.mechanics, not a {type(system).__name__}."
         )
     _check_counts(description)
-    reader = _Reader(description.frame, description.fixed_point)
+    fixed = description.fixed_point
+    reader = _Reader(description.frame, fixed)
     users = [(body.masscenter, f"body {body.name}") for body in description.bodies]
     users += [(place, f"force at point {place.name}") for place, _ in description.loads if isinstance(place, me.Point)]
     reader.read_points(users)
@@ -114,14 +115,14 @@ def read_mechanism(
         holonomic_constraints=tuple(description.holonomic_constraints),
         velocity_constraints=tuple(description.velocity_constraints),
         velocity_constraints_derived=description.derived,
-        fixed_point=None if description.fixed_point is None else reader.point_numbers.get(description.fixed_point),
+        fixed_point=None if fixed is None else reader.point_numbers.get(fixed),
         **_actuators(description),
         acceleration_constraints=tuple(description.acceleration_constraints),
         drawn=(*drawn, *tips),
         shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
         not_drawn=not_drawn,
         length_laws=tuple(_length_laws(description.sources)),
-        is_origin_fixed=description.fixed_point is None or next(iter(of_points), None) is description.fixed_point,
+        is_origin_fixed=None if fixed is None else next(iter(of_points), None) is fixed,
     )
 
 

@@ -202,13 +202,15 @@ class Trajectory:
 
     @cached_property
     def _motion(self) -> list[Floats]:
-        return self.model.motion_along(self.t, self.y, self.r, self.parameters)
+        found = self.model.motion_along(self.t, self.y, self.r, self.parameters)
+        return found if self.model.layout.drawing.is_at_rest else [np.full_like(rows, np.nan) for rows in found]
 
     @property
     def velocities(self) -> dict[str, Floats]:
         """Velocities of the mechanism's points over time, by name, m/s, each of shape (3, n_t).
 
-        In the System's frame. NaN at singular positions: they are evaluated together with accelerations.
+        In the System's frame. NaN at singular positions, since they are evaluated together with accelerations; and
+        where positions are relative to a point that moves, such as a wheel's contact point.
         """
         return dict(zip(self.model.points, self._motion[0], strict=False))
 
@@ -216,7 +218,7 @@ class Trajectory:
     def accelerations(self) -> dict[str, Floats]:
         """Accelerations of the mechanism's points over time, by name, m/s^2, each of shape (3, n_t).
 
-        In the System's frame; NaN at singular positions.
+        In the System's frame; NaN where `velocities` are.
         """
         return dict(zip(self.model.points, self._motion[1], strict=False))
 

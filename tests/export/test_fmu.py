@@ -679,6 +679,7 @@ def test_fmu_export_of_texts_that_xml_cannot_have_is_refused(tmp_path):
     assert validate_fmu(path) == []
     variables = {v.name: v for v in fmpy.read_model_description(path).modelVariables}
     assert (variables["m"].description, variables["m"].unit) == (description, unit)
+    assert variables["P₁ <μ>.x"].unit == "m"
     assert "P₁ <μ>.x" in variables
 
 

@@ -89,7 +89,7 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
     potential = ("potential energy", f"without {', '.join(without)}" if without else "", "J")
     for number, point in enumerate(layout.drawing.points):
         name = point.name or f"point {number}"
-        points += [(f"{name}.{axis}", f"position of {name}", "") for axis in "xyz"]
+        points += [(f"{name}.{axis}", f"position of {name}", "m") for axis in "xyz"]
     groups = [
         Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
         Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),

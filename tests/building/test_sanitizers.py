@@ -164,7 +164,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         fb_steps steps = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
                           .sample_row = calloc(50, sizeof(long))};
         s.forward = &forward;
-        s.vary = fb_forward_step;
+        s.step_jvp = fb_forward_step;
         s.sample_jvp = fb_forward_sample;
         s.steps = &steps;
         fb_keep_step(&s, 0.0);

@@ -512,10 +512,10 @@ def restored(arguments):
 def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
+    _, (kind, _, layout, sources, *more) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(3) as pool:
-        paths = pool.map(restored, [(kind, name, str(tmp_path / "elsewhere.so"), manifest, sources)] * 3)
+        paths = pool.map(restored, [(kind, str(tmp_path / "elsewhere.so"), layout, sources, *more)] * 3)
     assert len(set(paths)) == 1
     assert paths[0].startswith(str(tmp_path))
     folders = {path.name.rpartition("-")[0] for path in tmp_path.iterdir() if path.is_dir()}
@@ -527,12 +527,12 @@ def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_pa
 @pytest.mark.slow
 def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch, unoptimized):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
-    _, (kind, name, _, manifest, sources, *_) = model.__reduce__()
+    _, (kind, _, layout, sources, *more) = model.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     other = str(fb.load("four_bar").path)
-    assert _restore(kind, name, other, manifest, sources).coordinates == model.coordinates
+    assert _restore(kind, other, layout, sources, *more).coordinates == model.coordinates
     with pytest.raises(fb.ModelError, match="only a different one of its name"):
-        _restore(kind, name, other, manifest, None)
+        _restore(kind, other, layout, None, *more)
 
 
 def test_the_shape_of_initial_states_is_named_as_it_is_given(four_bar):

@@ -165,6 +165,11 @@ class Role(_Enum):
     CONSTRAINT_VJP = Needs.STATE, "The gradient with respect to (x, p, r) of weights times constraint_violation."
 
     @property
+    def function(self) -> str:
+        """The function's name in C."""
+        return self.name.lower()
+
+    @property
     def part(self) -> str:
         """Where the function is: in the ``kernel``, or in a part that may be compiled later."""
         if self < Role.DRAWING:

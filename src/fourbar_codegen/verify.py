@@ -154,7 +154,7 @@ def _compiled_results(
             tangent = tangents[role]
             direction = np.array([values[leaf] for leaf in tangent.direction])
             names, results = (tangent.coordinate_rates.name, tangent.residual.name), [m @ direction for m in results]
-        yield from ((role.name.lower(), name, got) for name, got in zip(names, results, strict=True))
+        yield from ((role.function, name, got) for name, got in zip(names, results, strict=True))
 
 
 def _compare(model: str, function: str, result: Result, got: Floats, expected: Floats) -> None:

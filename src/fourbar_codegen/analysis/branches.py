@@ -27,11 +27,6 @@ Floats = NDArray[np.float64]
 SEEDS = (0.5131, 0.0, 1.0, 0.2417, 0.7689, 0.1201, 0.8773, 0.3718, 0.6329)
 """Places along the drive, of its whole way, where assembly modes are searched: unlikely to be singular."""
 
-N_MORE_SEEDS = 32
-MAX_BRANCHES_FOR_MORE_SEEDS = 32
-"""If there are no more branches than the second, assembly modes are searched at as many of the given values as the
-first, too, if that finds all of them."""
-
 SAME_ATOL = 1e-6
 """Largest distance of scaled coordinates that are the same."""
 

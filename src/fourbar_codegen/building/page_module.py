@@ -60,7 +60,7 @@ def _vectors() -> str:
     text, places = "", itertools.count(step=3)
     for role, quantities in QUANTITIES.items():
         results = ", ".join(f"values + {next(places)}" for _ in quantities)
-        text += f"    {role.name.lower()}(t, x, constants, r, {results});\n"
+        text += f"    {role.function}(t, x, constants, r, {results});\n"
     return text
 
 

@@ -400,7 +400,7 @@ def _plain(text: str) -> str:
 
 def _head_of(name: str, role: Role) -> str:
     results = ", ".join(f"double *{quantity.name}" for quantity in QUANTITIES[role])
-    return f"void {name}_{role.name.lower()}(struct {name} *model, {results})"
+    return f"void {name}_{role.function}(struct {name} *model, {results})"
 
 
 def _declared_quantities(name: str) -> str:
@@ -426,7 +426,7 @@ def _quantities(name: str) -> str:
 {{
     double t;
     fb_problem *const problem = problem_now(model, &t);
-    {role.name.lower()}(t, model->x, problem->constants, problem->inputs, {results});
+    {role.function}(t, model->x, problem->constants, problem->inputs, {results});
 }}
 """
     return text

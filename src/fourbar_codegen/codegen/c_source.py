@@ -390,7 +390,7 @@ class _Entry:
     @property
     def name(self) -> str:
         """That of the function."""
-        return self.role.name.lower()
+        return self.role.function
 
     @property
     def arrays(self) -> tuple[tuple[str, tuple[tuple[str, int, int], ...]], ...]:

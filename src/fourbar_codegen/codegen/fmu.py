@@ -59,7 +59,7 @@ class Variable:
 
 
 @dataclass(frozen=True)
-class Group:
+class _Group:
     """Results that a function of the library evaluates at once.
 
     Attributes
@@ -83,7 +83,7 @@ class Group:
     returns_status: bool = False
 
 
-def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
+def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[_Group]:
     """What an FMU has besides states, parameters and inputs."""
     without, points = layout.potential_energy.without, list[tuple[str, str, str]]()
     potential = ("potential energy", f"without {', '.join(without)}" if without else "", "J")
@@ -91,9 +91,9 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
         name = point.name or f"point {number}"
         points += [(f"{name}.{axis}", f"position of {name}", "m") for axis in "xyz"]
     groups = [
-        Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
-        Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),
-        Group("points", points, len(points)),
+        _Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
+        _Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),
+        _Group("points", points, len(points)),
     ]
     for role, vectors in QUANTITIES.items():
         results = [
@@ -103,7 +103,7 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[Group]:
             for vector in vectors
             for name in vector.components
         ]
-        groups.append(Group(role.name.lower(), results, 3))
+        groups.append(_Group(role.function, results, 3))
     return [group for group in groups if group.results]
 
 

@@ -335,7 +335,7 @@ class _Drafts:
 
     def add_jvp(self, role: Role, results: Sequence[Result], direction: Array) -> None:
         """Draft products of derivatives with directions, and what they need of a state."""
-        [draft], nodes = self.products({role.name.lower(): (role.comment, results)}, direction)
+        [draft], nodes = self.products({role.function: (role.comment, results)}, direction)
         factors = Result("factors", (len(nodes),), tuple(Scalar(self.equations.tape, 1, node) for node in nodes))
         self.drafts.append(replace(draft, role=role, factors=factors))
 
@@ -374,7 +374,7 @@ class _Drafts:
         if role.needs & Needs.MULTIPLIERS:
             after.append(_array("multipliers", e.variables.multipliers))
         return _Draft(
-            role.name.lower(),
+            role.function,
             role.comment,
             (*before,),
             (*after, *further),

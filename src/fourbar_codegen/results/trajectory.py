@@ -684,7 +684,7 @@ def make_trajectory(**attributes: Any) -> Trajectory:
 
 def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
     model, columns = trajectory.model, trajectory.columns()
-    own = {"t", *model.states, *model.inputs, *model.outputs}
+    own = {*model.states, *model.inputs, *model.outputs}
     units = dict.fromkeys(("kinetic_energy", "potential_energy", "energy"), "J")
     units |= {name: vector.unit for vector in VECTORS for name in vector.components}
     for point, rows in trajectory.points.items():

@@ -1,5 +1,8 @@
 """Energies against closed forms and against each other through the motion."""
 
+import gc
+import time
+
 import numpy as np
 import pytest
 import sympy as sm
@@ -423,3 +426,31 @@ def test_antiderivatives_of_spring_laws_equal_closed_forms_or_none():
     assert tape.evaluate([antiderivative(tape, (place - other) * 2, place)], {place: 0.7 + 1e-9, other: 0.7}) == [
         pytest.approx(1e-18, rel=1e-6, abs=0)  # the difference of the arguments has 7 digits
     ]
+
+
+def test_search_for_an_antiderivative_ends_although_the_garbage_collector_calls_functions(monkeypatch):
+    # Python ignores what a callback of the collector raises, as JAX's is; the search is to be stopped later.
+    def search(_integrand, x):
+        end = time.thread_time() + 0.02
+        while time.thread_time() < end:
+            pass
+        gc.collect()
+        for _ in range(1000):
+            sm.cos(x).diff(x)
+        return x**2
+
+    def collected(_phase, _details):
+        calls.append(None)
+
+    calls = []
+    monkeypatch.setattr(sm, "integrate", search)
+    tape = Tape()
+    x = sm.Symbol("x", real=True)
+    place = tape.leaf("y", "x")
+    integrand = Conversion(tape, {x: place})(sm.sin(x))
+    gc.callbacks.append(collected)
+    try:
+        assert antiderivative(tape, integrand, place, max_seconds=0.001) is None
+    finally:
+        gc.callbacks.remove(collected)
+    assert calls

@@ -156,6 +156,10 @@ class _TooLong(BaseException):
     """Not an Exception, which SymPy would take for a failure of one of its methods."""
 
 
+def _is_of_sympy(frame: FrameType) -> bool:
+    return str(frame.f_globals.get("__name__")).startswith("sympy.")
+
+
 def _within(seconds: float, search: Callable[[], sm.Expr]) -> sm.Expr | None:
     """What a search finds, or None if it takes longer; a profiler that is running is not disturbed."""
     if sys.getprofile() is not None:
@@ -166,8 +170,9 @@ def _within(seconds: float, search: Callable[[], sm.Expr]) -> sm.Expr | None:
         nonlocal late
         # The clock takes longer than most calls.
         late = late or (next(calls) % CALLS_PER_CLOCK == 0 and time.thread_time() > end)
-        # Not in a generator: one that is being closed would swallow it, and the search would go on unwatched.
-        if late and event == "call" and not frame.f_code.co_flags & CO_GENERATOR:
+        # Where it would be swallowed, and the search would go on unwatched, it is not raised: in a generator, which may
+        # be being closed, and in functions that are not SymPy's, which the garbage collector may have called.
+        if late and event == "call" and not frame.f_code.co_flags & CO_GENERATOR and _is_of_sympy(frame):
             raise _TooLong
 
     sys.setprofile(watch)

@@ -1,6 +1,7 @@
 """What code generation and simulation know of a compiled model.
 
-`Layout` is its description, the manifest, which JSON text carries from one half to the other.
+`Layout` is its description, the manifest, which JSON text carries from one half to the other. Its parts
+are named tuples: Python takes 6 ms longer to make the classes of twelve frozen dataclasses, at each start of a program.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import Self, TypeVar
+from typing import NamedTuple, Self, TypeVar
 
 from fourbar_codegen.errors import ModelError
 
@@ -64,8 +65,7 @@ Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What JSON can hold."""
 
 
-@dataclass(frozen=True)
-class Parameter:
+class Parameter(NamedTuple):
     """A parameter.
 
     Attributes
@@ -84,8 +84,7 @@ class Parameter:
     range: tuple[float, float] | None
 
 
-@dataclass(frozen=True)
-class Input:
+class Input(NamedTuple):
     """An input, or a rate of one that prescribes a motion.
 
     Attributes
@@ -108,8 +107,7 @@ class Input:
     is_prescribed: bool
 
 
-@dataclass(frozen=True)
-class Formulas:
+class Formulas(NamedTuple):
     """Expressions as plain data; see ``expressions/formulas.py``.
 
     Attributes
@@ -124,8 +122,7 @@ class Formulas:
     results: Sequence[Json]
 
 
-@dataclass(frozen=True)
-class Constraints:
+class Constraints(NamedTuple):
     """Position and velocity constraints.
 
     Attributes
@@ -149,8 +146,7 @@ class Constraints:
     velocity_rows: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class StateJump:
+class StateJump(NamedTuple):
     """A jump of the equations of motion, or of the expression of an input, where a function of the state switches.
 
     Attributes
@@ -171,8 +167,7 @@ class StateJump:
     known: bool
 
 
-@dataclass(frozen=True)
-class Breakpoints:
+class Breakpoints(NamedTuple):
     """Where expressions are not smooth.
 
     Attributes
@@ -190,8 +185,7 @@ class Breakpoints:
     state_jumps: tuple[StateJump, ...]
 
 
-@dataclass(frozen=True)
-class Point:
+class Point(NamedTuple):
     """A drawn point.
 
     Attributes
@@ -206,8 +200,7 @@ class Point:
     body: str | None
 
 
-@dataclass(frozen=True)
-class Shape:
+class Shape(NamedTuple):
     """A part of the picture.
 
     Attributes
@@ -226,8 +219,7 @@ class Shape:
     points: tuple[int, ...]
 
 
-@dataclass(frozen=True)
-class Drawing:
+class Drawing(NamedTuple):
     """The picture.
 
     Attributes
@@ -252,8 +244,7 @@ class Drawing:
     gravity: tuple[float, ...] | None
 
 
-@dataclass(frozen=True)
-class PotentialEnergy:
+class PotentialEnergy(NamedTuple):
     """What is known of the potential energy.
 
     Attributes
@@ -267,8 +258,7 @@ class PotentialEnergy:
     without: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Dependencies:
+class Dependencies(NamedTuple):
     """What depends on what.
 
     Attributes
@@ -286,8 +276,7 @@ class Dependencies:
     timed_by: Mapping[str, tuple[str, ...]]
 
 
-@dataclass(frozen=True)
-class Operations:
+class Operations(NamedTuple):
     """Numbers of operations of functions, by their names; of products with directions for one direction.
 
     Attributes

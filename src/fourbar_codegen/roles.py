@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum, IntEnum
-from typing import Self
+from typing import NamedTuple, Self
 
 __all__ = [
     "DIRECTIONS",
@@ -177,8 +176,7 @@ class Role(_Enum):
         return "derivatives" if self < Role.RESIDUAL_JVP else "products"
 
 
-@dataclass(frozen=True)
-class Quantity:
+class Quantity(NamedTuple):
     """A vector that is known at each state, in the inertial frame: a result of a function of the kernel's table.
 
     Attributes

@@ -20,10 +20,9 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from fourbar_codegen.errors import CacheError
 from fourbar_codegen.progress import QUIET_SECONDS, Progress
@@ -53,8 +52,7 @@ ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}(\.\d+\.\d+\.removed)?")
 """Names of the folders in the cache, also of those that a process was removing when it ended."""
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(NamedTuple):
     """A folder in the cache.
 
     Attributes

@@ -10,12 +10,11 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 from importlib import import_module, machinery, util
 from pathlib import Path
 from types import ModuleType
-from typing import Literal, TypeVar
+from typing import Literal, NamedTuple, TypeVar
 
 from fourbar_codegen.building.cache import cached, find_cached, is_whole
 from fourbar_codegen.building.library import (
@@ -56,8 +55,7 @@ _Found = TypeVar("_Found")
 _LOADED: dict[str, tuple[int, int, int]] = {}
 
 
-@dataclass(frozen=True)
-class Loaded:
+class Loaded(NamedTuple):
     """A compiled model that was loaded.
 
     Attributes

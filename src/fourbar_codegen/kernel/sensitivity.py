@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -68,8 +67,7 @@ REGULAR_PIVOT_RATIO = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
 
 
-@dataclass(frozen=True)
-class Directions:
+class Directions(NamedTuple):
     """Directions of initial states, parameters and inputs.
 
     Attributes

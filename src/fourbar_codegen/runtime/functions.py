@@ -15,6 +15,8 @@ __all__ = ["Functions"]
 
 # Of an enumeration, an attribute takes 0.2 us in Python 3.11, as much as a function at one state.
 DYNAMICS, POSITION, VELOCITY, ENERGY, OUTPUT = Role.DYNAMICS, Role.POSITION, Role.VELOCITY, Role.ENERGY, Role.OUTPUT
+CONSTRAINT_VIOLATION, CONSTRAINT_SCALE = Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE
+CONSTRAINT_PARTIALS, COORDINATE_CHANGE = Role.CONSTRAINT_PARTIALS, Role.COORDINATE_CHANGE
 
 Floats = NDArray[np.float64]
 Values = ArrayLike | Mapping[Any, float]
@@ -63,21 +65,21 @@ class Functions(Evaluator):
 
         Their shapes are (n_c + n_i,) and (n_c,).
         """
-        positions, velocities = self.evaluate(Role.CONSTRAINT_VIOLATION, t, x, p, r)
+        positions, velocities = self.evaluate(CONSTRAINT_VIOLATION, t, x, p, r)
         return positions, velocities
 
     def constraint_scale(
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """Scales of the position constraints, shape (n_h,), and of both results of `constraint_violation`."""
-        constraints, positions, velocities = self.evaluate(Role.CONSTRAINT_SCALE, t, x, p, r)
+        constraints, positions, velocities = self.evaluate(CONSTRAINT_SCALE, t, x, p, r)
         return constraints, positions, velocities
 
     def coordinate_change(
         self, t: float, x: ArrayLike, change: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> Floats:
         """K v, the change of the coordinates, shape (n_q,), for a change v of the speeds' integrals."""
-        return self.evaluate(Role.COORDINATE_CHANGE, t, x, p, r, arguments=(change,))[0]
+        return self.evaluate(COORDINATE_CHANGE, t, x, p, r, arguments=(change,))[0]
 
     def invariant_correction(self, t: float, q: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
         """The change of the coordinates, shape (n_q,), that corrects invariants (constraints that no speed changes)."""
@@ -87,7 +89,7 @@ class Functions(Evaluator):
         self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
     ) -> tuple[Floats, Floats, Floats]:
         """d(J u + b)/dq, shape (n_c, n_q), dPhi/dr, shape (n_h, n_r), and d(J u + b)/dr, shape (n_c, n_r)."""
-        wrt_coordinates, positions, velocities = self.evaluate(Role.CONSTRAINT_PARTIALS, t, x, p, r)
+        wrt_coordinates, positions, velocities = self.evaluate(CONSTRAINT_PARTIALS, t, x, p, r)
         return wrt_coordinates, positions, velocities
 
     def constraint_vjp(
@@ -239,7 +241,7 @@ class Functions(Evaluator):
         """
         wanted: dict[int, tuple[int, ...]] = {
             Role.POSITION: (0,),
-            Role.CONSTRAINT_VIOLATION: (1,),
+            CONSTRAINT_VIOLATION: (1,),
             Role.ENERGY: (0,),
             Role.OUTPUT: (0,),
         }

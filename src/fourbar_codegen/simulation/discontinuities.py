@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,8 +43,7 @@ SAME = 4
 equal up to rounding errors, and so are the sides of a condition there."""
 
 
-@dataclass(frozen=True)
-class Discontinuity:
+class Discontinuity(NamedTuple):
     """A time of a jump or a kink.
 
     Attributes
@@ -67,8 +66,7 @@ class Discontinuity:
     varied: bool = False
 
 
-@dataclass(frozen=True)
-class Boundary:
+class Boundary(NamedTuple):
     """How a run passes a discontinuity.
 
     Attributes
@@ -120,7 +118,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
             found.append(Discontinuity(t, t, known[t], same))
-    return [replace(at, varied=at.moves) for at in found] if varied else found
+    return [at._replace(varied=at.moves) for at in found] if varied else found
 
 
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:

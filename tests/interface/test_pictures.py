@@ -327,6 +327,21 @@ def test_report_scrubbed_to_a_time_shows_the_state_at_that_time(opened, trajecto
 
 
 @pytest.mark.slow
+def test_report_has_closed_plots_of_momenta_that_open(opened, trajectory):
+    page = opened(trajectory)
+    summary = page.get_by_text("Linear momentum (kg m/s)", exact=True)
+    values = summary.locator("xpath=..").locator("output")
+    assert not values.first.is_visible()
+    page.keyboard.press("End")
+    summary.click()
+    # The links' masses are 100 kg/m times their lengths; the shown digits are those of the label.
+    masses = {"link2_masscenter": 50.0, "link3_masscenter": 100.0, "link4_masscenter": 70.0}
+    expected = sum(m * trajectory.velocities[name][:, -1] for name, m in masses.items())
+    assert [float(value) for value in values.all_text_contents()] == pytest.approx(expected, rel=1e-3, abs=1e-12)
+    assert values.first.is_visible()
+
+
+@pytest.mark.slow
 def test_report_play_moves_the_linkage_until_the_end(opened, trajectory):
     page = opened(trajectory)
     before = center(page, "P2")

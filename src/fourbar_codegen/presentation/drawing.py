@@ -12,8 +12,9 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.presentation.scene import Scene, scene
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.roles import VECTORS, Quantity
 
-__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panel_names", "panels"]
+__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panel_names", "panels", "vector_title"]
 
 Floats = NDArray[np.float64]
 
@@ -94,11 +95,14 @@ class Panel:
     curves : dict of str to ndarray, shape (n_t,)
     is_logarithmic : bool
         Whether the vertical axis is logarithmic.
+    is_open : bool
+        Whether it is shown at first.
     """
 
     title: str
     curves: dict[str, Floats]
     is_logarithmic: bool = False
+    is_open: bool = True
 
 
 def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
@@ -116,8 +120,13 @@ def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
     ]
 
 
+def vector_title(vector: Quantity) -> str:
+    """The title of the panel of a vector's components."""
+    return f"{vector.description[0].upper()}{vector.description[1:]} ({vector.unit})"
+
+
 def panels(trajectory: Trajectory) -> list[Panel]:
-    """All curves of a trajectory over time: states, inputs, outputs, energy, multipliers, residual."""
+    """All curves of a trajectory over time: states, inputs, outputs, energy, multipliers, residual; momenta."""
     residual = np.abs(trajectory.constraint_residual)
     energies = (trajectory.kinetic_energy, trajectory.potential_energy, trajectory.energy)
     # Zero is replaced by half the machine epsilon, for the logarithmic axis.
@@ -128,4 +137,8 @@ def panels(trajectory: Trajectory) -> list[Panel]:
         Panel(title, {n: row for n, row in zip(names, rows, strict=False) if np.isfinite(row).any()}, is_logarithmic)
         for (title, names, is_logarithmic), rows in zip(panel_names(trajectory.model), values, strict=True)
     ]
+    for vector in VECTORS:
+        rows = dict(zip(vector.components, trajectory.vectors[vector.name], strict=True))
+        known = {name: row for name, row in rows.items() if np.isfinite(row).any()}
+        found.append(Panel(vector_title(vector), known, is_open=False))
     return [panel for panel in found if panel.curves]

@@ -115,7 +115,7 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any]) -> Figur
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
     chosen = [_panel(trajectory.model.title(name), trajectory[name]) for name in _quantities(names)]
-    shown = chosen or panels(trajectory)
+    shown = chosen or [panel for panel in panels(trajectory) if panel.is_open]
     figure, cells = _stacked([panel.title for panel in shown], 2.2, "time (s)")
     for axes, panel in zip(cells, shown, strict=True):
         for name, values in panel.curves.items():

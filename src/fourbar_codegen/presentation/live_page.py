@@ -18,7 +18,7 @@ from fourbar_codegen.files import check_free, path_of, save, writer_of
 from fourbar_codegen.kernel.inputs import by_name, is_held
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import is_named
-from fourbar_codegen.presentation.drawing import ARROW, ENERGY, panel_names
+from fourbar_codegen.presentation.drawing import ARROW, ENERGY, panel_names, vector_title
 from fourbar_codegen.presentation.html_page import (
     FRAMES_PER_SECOND,
     MAX_FRAMES,
@@ -321,8 +321,8 @@ def _panels(run: Trajectory) -> list[dict[str, Any]]:
             panels.append({"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open)})
     for vector in VECTORS:
         if np.isfinite(run.vectors[vector.name]).any():
-            title = f"{vector.description[0].upper()}{vector.description[1:]} ({vector.unit})"
-            panels.append({"title": title, "log": False, "columns": [begin, begin + 1, begin + 2], "open": False})
+            columns = [begin, begin + 1, begin + 2]
+            panels.append({"title": vector_title(vector), "log": False, "columns": columns, "open": False})
         begin += 3
     return panels
 

@@ -15,10 +15,16 @@ for (const [name, value] of data.table) {
   make("td", {}, row, value);
 }
 
-const plots = data.plots.map(({title, log, curves}) => {
-  make("h2", {}, byId("plots"), title);
-  const plot = timePlot(byId("plots"), {title, log, names: curves.map(({name}) => name)}, i => controls.seek(i));
+const plots = data.plots.map(({title, log, open, curves}) => {
+  const details = make("details", {}, byId("plots"));
+  make("summary", {}, details, title);
+  details.open = open;
+  const plot = timePlot(details, {title, log, names: curves.map(({name}) => name)}, i => controls.seek(i));
   plot.set(times, curves.map(({values}) => floats(values)));
+  details.addEventListener("toggle", () => {
+    plot.draw();
+    plot.show(controls.shown());
+  });
   return plot;
 });
 const controls = player(i => {

@@ -24,7 +24,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 20,\n'
+    '  "format": 21,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "418c24a8b65509184aa6a7fb16a910a599e907b1f49a0925977fb21290e5df2f",\n'
     '  "coordinates": [\n'
@@ -112,11 +112,11 @@ manifest = (
     '      "order": 0\n'
     '    }\n'
     '  ],\n'
-    '  "moving_inputs": [],\n'
+    '  "prescribed_inputs": [],\n'
     '  "n_breakpoints": 0,\n'
     '  "n_motion_breakpoints": 0,\n'
     '  "outputs": [],\n'
-    '  "open_outputs": [],\n'
+    '  "undetermined_outputs": [],\n'
     '  "position_constraints": {\n'
     '    "operations": [\n'
     '      [\n'

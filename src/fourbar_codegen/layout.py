@@ -55,7 +55,7 @@ class ShapeKind(StrEnum):
     LINE = "line"
 
 
-FORMAT = 20
+FORMAT = 21
 """Of the manifest's JSON text."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
@@ -466,11 +466,11 @@ class Layout:
             ],
             "derived_parameters": {**self.derived_parameters},
             "inputs": [{"name": e.name, "expression": e.expression, "of": e.of, "order": e.order} for e in self.inputs],
-            "moving_inputs": [*self.prescribed_places],
+            "prescribed_inputs": [*self.prescribed_places],
             "n_breakpoints": self.breakpoints.n,
             "n_motion_breakpoints": self.breakpoints.n_motion_breakpoints,
             "outputs": [*self.outputs],
-            "open_outputs": [*self.undetermined_outputs],
+            "undetermined_outputs": [*self.undetermined_outputs],
             "position_constraints": {
                 "operations": [*constraints.positions.operations],
                 "results": [*constraints.positions.results],
@@ -519,7 +519,7 @@ class Layout:
                 f"The compiled model {data['name']} was built with another version of this package, whose manifest has "
                 f"format {data['format']!r}, not {FORMAT}: build it again."
             )
-        prescribed = _each(int, data["moving_inputs"])
+        prescribed = _each(int, data["prescribed_inputs"])
         formulas = _object(data["position_constraints"])
         dependencies, timed_by = _object(data["dependencies"]), _object(data["timed_by"])
         gravity = data["gravity"]
@@ -538,7 +538,7 @@ class Layout:
             geometry=_each(str, data["geometry"]),
             inputs=tuple(_input(_object(e), place in prescribed) for place, e in enumerate(_list(data["inputs"]))),
             outputs=_each(str, data["outputs"]),
-            undetermined_outputs=_each(str, data["open_outputs"]),
+            undetermined_outputs=_each(str, data["undetermined_outputs"]),
             constraints=Constraints(
                 positions=Formulas(_list(formulas["operations"]), _list(formulas["results"])),
                 position_rows=tuple(None if r is None else _one(int, r) for r in _list(data["position_rows"])),

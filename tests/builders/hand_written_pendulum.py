@@ -25,7 +25,7 @@ def manifest(rows):
     of_motion = [x | mass | force | a_x | multipliers, y | gravity | mass | a_y | multipliers]
     of_constraint = x | y | u_x | u_y
     return {
-        "format": 20,
+        "format": 21,
         "name": "pendulum",
         "fingerprint": f"{rows:064x}",
         "coordinates": ["x", "y"],
@@ -41,11 +41,11 @@ def manifest(rows):
         ],
         "derived_parameters": {},
         "inputs": [{"name": "F", "expression": "0", "of": "F", "order": 0}],
-        "moving_inputs": [],
+        "prescribed_inputs": [],
         "n_breakpoints": 0,
         "n_motion_breakpoints": 0,
         "outputs": ["height", "tension"],
-        "open_outputs": [],
+        "undetermined_outputs": [],
         "position_constraints": {
             "operations": [
                 ["q", "x"],

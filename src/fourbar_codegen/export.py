@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
-from fourbar_codegen.arguments import listed, one_of
+from fourbar_codegen.arguments import is_integer, listed, one_of
 from fourbar_codegen.building.toolchain import compile_shared, get_include
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
 from fourbar_codegen.errors import BuildError, ModelError, shown
@@ -143,7 +143,7 @@ def export_fmu(
     ['binaries', 'modelDescription.xml', 'sources']
     """
     path = path_of(path)
-    if not isinstance(fmi, int) or fmi not in {2, 3}:
+    if not is_integer(fmi) or fmi not in {2, 3}:
         raise ModelError(f"The version of FMI is 2 or 3, not {shown(fmi)}.")
     several = [_platform(), *listed(platforms, f"platforms= is a sequence of {', '.join(PLATFORMS)}")]
     folders = {name: _folder(name, fmi) for name in several}
@@ -158,8 +158,9 @@ def export_fmu(
             if vector.name in wanted and any(entry.is_nan for entry in vector.entries):
                 raise ModelError(
                     f"The {vector.name.replace('_', ' ')} of {layout.name} is not known: it contains positions that "
-                    "are not known, or parameters that the equations of motion do not need. Name these in "
-                    "Model(parameters=...)."
+                    "are not known or are relative to a point that moves, the bodies that move have no mass, or it "
+                    "contains parameters that the equations of motion do not need, such as products of inertia. Name "
+                    "these in Model(parameters=...)."
                 )
         from fourbar_codegen.codegen.fmu import (
             FMU_HEADERS,

@@ -188,3 +188,48 @@ def test_mass_centre_is_not_known_where_the_mass_of_a_rotor_on_a_fixed_axis_is_n
     assert about_centre[2] == 12.0  # r x p is zero: they are parallel
     named = fb.compile_model(fb.Model(system, name="rotor_and_block", parameters={**values, mass: 5.0}))
     assert named.momentum(0.0, [1.0, 0.0, 0.5, 4.0])[2].tolist() == [0.0, 0.0, 12.0]
+
+
+@pytest.mark.parametrize("pulled", [False, True])
+def test_pivot_with_an_auxiliary_speed_is_at_rest(pulled):
+    q, u, u_aux, force = me.dynamicsymbols("q u u_aux force")
+    ground, arm, pivot = me.ReferenceFrame("N"), me.ReferenceFrame("A"), me.Point("O")
+    arm.orient_axis(ground, ground.z, q)
+    arm.set_ang_vel(ground, u * ground.z)
+    pivot.set_vel(ground, u_aux * ground.y if pulled else 0)
+    end = pivot.locatenew("P", -0.5 * arm.y)
+    end.v2pt_theory(pivot, ground, arm)
+    kane = me.KanesMethod(
+        ground,
+        [q],
+        [u],
+        [q.diff(T) - u],
+        u_auxiliary=[u_aux] if pulled else None,
+        bodies=[me.Particle("bob", end, MASS)],
+        forcelist=[(end, -9.81 * MASS * ground.y), *([(pivot, force * ground.y)] if pulled else [])],
+    )
+    pendulum = fb.compile_model(fb.Model(kane, name="pulled"))
+    momentum, about_pivot, spin = pendulum.momentum(0.0, [0.3, 2.0])
+    np.testing.assert_allclose(momentum, MASS * 0.5 * 2.0 * np.array([np.cos(0.3), np.sin(0.3), 0.0]), rtol=1e-15)
+    np.testing.assert_allclose(about_pivot, [0.0, 0.0, MASS * 0.25 * 2.0], rtol=1e-15)
+    np.testing.assert_allclose(spin, 0.0, atol=1e-15)
+
+
+def test_inputs_of_forces_need_no_value_for_momenta():
+    q, u, angle, force = me.dynamicsymbols("q u angle force")
+    ground, disk, origin = me.ReferenceFrame("N"), me.ReferenceFrame("D"), me.Point("O")
+    disk.orient_axis(ground, ground.z, angle)
+    system = System(ground, origin)
+    origin.set_vel(ground, 0)
+    slot = origin.locatenew("P", q * disk.x)
+    slot.set_vel(ground, u * disk.x + q * angle.diff(T) * disk.y)
+    system.add_bodies(me.Particle("slot", slot, MASS))
+    system.q_ind, system.u_ind = [q], [u]
+    system.add_kdes(q.diff(T) - u)
+    system.add_loads((slot, force * disk.x))
+    model = fb.compile_model(fb.Model(system, name="slot", inputs={angle: 3 * T**2, force: None}))
+    # Held at an angle of pi / 2, the disk's x axis is the ground's y axis.
+    momentum, *_ = model.momentum(1.5, [1.0, 2.0], r={"angle": np.pi / 2})
+    np.testing.assert_allclose(momentum, [0.0, MASS * 2.0, 0.0], atol=1e-15)
+    with pytest.raises(fb.ModelError, match="No value for input force"):
+        model.rhs(1.5, [1.0, 2.0], r={"angle": np.pi / 2})

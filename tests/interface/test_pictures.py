@@ -61,18 +61,21 @@ def test_points_of_ready_models_at_random_positions_equal_sympys(make):
 
 
 def test_points_that_nothing_else_needs_are_drawn_if_their_symbols_are_known(tmp_path):
-    """Two points of one name; one by a symbol that the equations do not have, which is left out."""
+    """Two points of one name, and one that has the name with a number; one by a symbol that the equations do not have,
+    which is left out."""
     system = pendulum()
     origin, frame = system.fixed_point, system.frame
     origin.locatenew("mark", 2 * frame.x)
     origin.locatenew("mark", 3 * frame.x)
+    origin.locatenew("mark (2)", 4 * frame.x)
     origin.locatenew("unknown", sm.Symbol("w") * frame.x)
     model = fb.compile_model(fb.Model(system, name="marked", parameters={M: 1.0, G: 9.81, L: 2.0}))
-    assert model.points == ("O", "P", "mark", "mark (2)")
+    assert model.points == ("O", "P", "mark", "mark (3)", "mark (2)")
     q = 0.3
     positions = model.positions(0.0, [q])
     np.testing.assert_allclose(positions["P"], [2.0 * np.cos(q), 2.0 * np.sin(q), 0.0], atol=1e-15)
-    assert positions["mark (2)"].tolist() == [3.0, 0.0, 0.0]
+    assert positions["mark (3)"].tolist() == [3.0, 0.0, 0.0]
+    assert positions["mark (2)"].tolist() == [4.0, 0.0, 0.0]
 
 
 def test_pictures_of_a_system_without_positions_are_refused(tmp_path):

@@ -5,9 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+import sympy as sm
 import sympy.physics.mechanics as me
 from builders.systems import pendulum
 from harness.archives import arrays_of
+from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 
@@ -52,6 +54,24 @@ def test_csv_of_a_run_has_positions_of_points_and_the_units_of_what_is_derived(f
         assert row["P2.y [m]"] == pytest.approx(length * np.sin(row["q1"]), abs=1e-14)
         assert row["energy [J]"] == row["kinetic_energy [J]"] + row["potential_energy [J]"]
     assert {"t", "q1", "F", "lambda1", "momentum_x [kg m/s]", "spin_z [kg m^2/s]"} < set(rows[0])
+
+
+def test_csv_keeps_a_state_that_has_the_title_of_an_energy(tmp_path):
+    q, u = sm.Function("energy [J]")(me.dynamicsymbols._t), me.dynamicsymbols("u")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    system = System(frame, origin)
+    point = origin.locatenew("P", q * frame.y)
+    point.set_vel(frame, u * frame.y)
+    system.add_bodies(me.Particle("p", point, 1.0))
+    system.q_ind, system.u_ind = [q], [u]
+    system.add_kdes(q.diff(me.dynamicsymbols._t) - u)
+    system.add_loads((point, -q * frame.y))
+    run = fb.compile_model(fb.Model(system, name="named")).simulate((0.0, 3.0), [1.0, 0.0], rtol=1e-9)
+    with run.save(tmp_path / "run.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {"energy [J]", "energy", "kinetic_energy [J]"} < set(rows[0])
+    assert float(rows[-1]["energy [J]"]) == pytest.approx(np.cos(3.0), abs=1e-7)  # a spring's motion
+    assert float(rows[-1]["energy"]) == pytest.approx(0.5, abs=1e-7)
 
 
 def test_inputs_by_member_are_in_an_ensembles_files_and_plots(four_bar, tmp_path):

@@ -14,6 +14,7 @@ import pytest
 from builders.hand_written_pendulum import GRAVITY, LENGTH, MASS, Swing, Turn, states_at
 
 import fourbar_codegen as fb
+from fourbar_codegen.roles import Role
 
 PARAMETERS = [LENGTH, GRAVITY, MASS]
 STATES = {
@@ -81,6 +82,24 @@ def test_momentum_of_the_pendulum_is_that_of_a_point_mass(pendulum):
     np.testing.assert_allclose(momentum, [MASS * x[2], MASS * x[3], 0.0], rtol=1e-15)
     np.testing.assert_allclose(about_pivot, [0.0, 0.0, MASS * LENGTH**2 * -2.0], rtol=1e-15)
     assert spin.tolist() == [0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda k: k.evaluate(len(Role), 0.0, [0.0] * k.n_x), "The roles of functions are 0 to"),
+        (lambda k: k.evaluate(-1, 0.0, [0.0] * k.n_x), "The roles of functions are 0 to"),
+        (lambda k: k.described(10**6), "The roles of functions are 0 to"),
+        (lambda k: k.evaluate(Role.COORDINATE_CHANGE, 0.0, [0.0] * k.n_x), "takes 1 arguments, not 0"),
+        (
+            lambda k: k.evaluate_along({Role.ENERGY: (0, 7)}, [0.0], np.zeros((k.n_x, 1)), np.zeros((k.n_r, 1))),
+            "has 1 results",
+        ),
+    ],
+)
+def test_functions_and_results_that_the_table_does_not_have_are_refused(pendulum, call, words):
+    with pytest.raises(fb.ModelError, match=words):
+        call(pendulum)
 
 
 def test_a_state_where_the_jacobian_vanishes_is_reported_as_singular(either_pendulum):

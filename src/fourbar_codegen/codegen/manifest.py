@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import reduce
+from itertools import count
 from operator import or_
 from typing import Any
 
@@ -283,9 +284,10 @@ def operations_of(functions: Sequence[Function]) -> Operations:
 
 def _distinct(names: Sequence[str]) -> list[str]:
     """The names, with a number appended to those that were used before; that of unnamed points is empty."""
-    taken: dict[str, int] = {}
-    distinct = []
+    taken = {*names}
+    distinct: list[str] = []
     for name in names:
-        taken[name] = taken.get(name, 0) + 1
-        distinct.append(name if taken[name] == 1 or not name else f"{name} ({taken[name]})")
+        numbered = (f"{name} ({number})" for number in count(2))
+        distinct.append(name if name not in distinct or not name else next(n for n in numbered if n not in taken))
+        taken.add(distinct[-1])
     return distinct

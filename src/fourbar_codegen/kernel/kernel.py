@@ -289,11 +289,15 @@ class Kernel(Functions):
             return p
         return named_values(p, self.parameters, self.defaults, "parameter")
 
-    def input_values(self, r: Values, defaults: Sequence[float]) -> Values:
-        """All input values in order, for an array or a mapping."""
+    def input_values(self, r: Values, defaults: Sequence[float], all_count: bool = True) -> Values:
+        """All input values in order, for an array or a mapping; 0 for those that are not given and do not count."""
         if not is_mapping(r):
             return r
-        known = {name: None if math.isnan(value) else value for name, value in zip(self.inputs, defaults, strict=True)}
+        unknown = [None if all_count or entry.is_prescribed else 0.0 for entry in self.layout.inputs]
+        known = {
+            name: other if math.isnan(value) else value
+            for name, value, other in zip(self.inputs, defaults, unknown, strict=True)
+        }
         return named_values(r, self.inputs, known | self.rates_at_rest(r), "input")
 
     def rates_at_rest(self, r: Mapping[Any, Any]) -> dict[str, float]:
@@ -632,13 +636,20 @@ class Kernel(Functions):
             p = sum m v, kg m/s.
         angular_momentum : ndarray, shape (3,)
             L_O = sum (r x m v + I w), kg m^2/s, about the System's fixed point; of a KanesMethod, about the point at
-            rest that positions refer to. NaN if the position of a mass centre relative to it is not known, or if it
-            moves, as a wheel's contact point does.
+            rest that positions refer to, the first of `points`. NaN if the position of a mass centre relative to it is
+            not known, or if it moves, as a wheel's contact point does.
         spin : ndarray, shape (3,)
             L_C = L_O - r x p about the mass centre r of these bodies, kg m^2/s. NaN also if their total mass is zero.
 
         A component is NaN, too, if it contains a parameter that the equations of motion do not need and the Model does
         not name, such as a product of inertia of a body that turns about one axis.
+
+        Raises
+        ------
+        ModelError
+            As for `rhs`.
+        SimulationError
+            If p is not finite.
 
         Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, section 3.5.
 

@@ -84,7 +84,7 @@ def read_mechanism(
         )
     _check_counts(description)
     fixed = description.fixed_point
-    reader = _Reader(description.frame, fixed)
+    reader = _Reader(description.frame, fixed, description.u_aux)
     users = [(body.masscenter, f"body {body.name}") for body in description.bodies]
     users += [(place, f"force at point {place.name}") for place, _ in description.loads if isinstance(place, me.Point)]
     reader.read_points(users)
@@ -371,9 +371,12 @@ def _names(functions: Iterable[Any]) -> str:
 class _Reader:
     """Reads vectors, and numbers the frames that they refer to."""
 
-    def __init__(self, inertial: me.ReferenceFrame, fixed_point: me.Point | None) -> None:
+    def __init__(
+        self, inertial: me.ReferenceFrame, fixed_point: me.Point | None, auxiliary_speeds: Sequence[sm.Expr]
+    ) -> None:
         self.inertial = inertial
         self.fixed_point = fixed_point
+        self.without_auxiliary = dict.fromkeys(auxiliary_speeds, 0)
         # ``ReferenceFrame.dcm`` lists every path in the graph and multiplies the matrices along it; one breadth-first
         # pass over the neighbours keeps the tree as it was modelled.
         self.parents = _neighbours(inertial, lambda frame: frame._dcm_dict)
@@ -452,8 +455,12 @@ class _Reader:
     def _at_rest(self, point: me.Point) -> me.Point | None:
         """The System's fixed point or another point at rest, if a point's position is known relative to it."""
         component = _neighbours(point, _positions)
-        at_rest = [p for p in component if p._vel_dict.get(self.inertial) == 0]
+        at_rest = [p for p in component if self._rests(p._vel_dict.get(self.inertial))]
         return next((p for p in (self.fixed_point, *at_rest) if p in component), None)
+
+    def _rests(self, velocity: me.Vector | None) -> bool:
+        """Whether a velocity is known, and zero: auxiliary speeds are."""
+        return velocity is not None and velocity.xreplace(self.without_auxiliary) == 0
 
     def drawn(
         self, bodies: Iterable[Any], named: Iterable[me.Point], known: _Known

@@ -132,7 +132,8 @@ class Trajectory:
 
         A state, input or output, or another quantity of `columns`: ``"t"``, ``"energy"``, ``"lambda1"``, ..., of shape
         (n_t,); or of shape (3, n_t) the position of a point, m, and ``"momentum"``, ``"angular_momentum"`` (about the
-        fixed point) and ``"spin"`` (about the mass centre), as `CompiledModel.momentum`.
+        fixed point) and ``"spin"`` (about the mass centre), as `CompiledModel.momentum`. Where names are equal, the
+        first in this order counts.
 
         Raises
         ------
@@ -209,8 +210,9 @@ class Trajectory:
     def velocities(self) -> dict[str, Floats]:
         """Velocities of the mechanism's points over time, by name, m/s, each of shape (3, n_t).
 
-        In the System's frame. NaN at singular positions, since they are evaluated together with accelerations; and
-        where positions are relative to a point that moves, such as a wheel's contact point.
+        They are the rates of the positions, in the System's frame, also of points whose velocity was set otherwise.
+        NaN at singular positions, since they are evaluated together with accelerations; and where positions are
+        relative to a point that moves, such as a wheel's contact point.
         """
         return dict(zip(self.model.points, self._motion[0], strict=False))
 
@@ -446,12 +448,13 @@ class Trajectory:
             Over ``time`` (s) a variable for each coordinate, speed, input and output; residuals, multipliers, energies
             (J), momenta, positions of points (m) and forces that depend on inputs (N). The attributes contain the
             information to repeat the run: model and fingerprint, parameters, settings and versions, the latter three as
-            JSON; and how the run ended.
+            JSON; and how the run ended. A state, input or output that is called ``position``, for example, takes the
+            place of the positions.
 
         Raises
         ------
         ModelError
-            If xarray is not installed.
+            If xarray is not installed, or a state, input or output has the name of a coordinate, such as ``time``.
 
         Examples
         --------
@@ -691,8 +694,10 @@ def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
         position = dict(zip((f"{point}.{axis}" for axis in "xyz"), rows, strict=True))
         columns |= {name: row for name, row in position.items() if name not in columns}
         units |= dict.fromkeys(position, "m")
-    unit_of = {name: f" [{unit}]" for name, unit in units.items() if name not in own}
-    write_csv({model.title(name) + unit_of.get(name, ""): column for name, column in columns.items()}, file)
+    titles = {name: f"{model.title(name)} [{unit}]" for name, unit in units.items() if name not in own}
+    taken = {*columns}  # a state that is called "energy [J]"
+    titles = {name: title for name, title in titles.items() if title not in taken}
+    write_csv({titles.get(name, model.title(name)): column for name, column in columns.items()}, file)
 
 
 def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:

@@ -158,7 +158,7 @@ cdef class Evaluator:
     cdef readonly bint states_need_solution
     cdef bint has_prescribed
     cdef cnp.ndarray _parameters(self, object p)
-    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known)
+    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known, bint all_count=*)
     cdef cnp.ndarray _state(self, double t, object x, int n)
     cdef const double *_prepare(self, cnp.ndarray parameters) noexcept
     cdef const double *_fill(self, double t, const double *constants, cnp.ndarray inputs) noexcept

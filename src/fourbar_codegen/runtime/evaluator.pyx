@@ -39,8 +39,8 @@ OK, NOT_CLOSED, NOT_FINITE = FB_OK, FB_NOT_CLOSED, FB_NOT_FINITE
 
 cdef object _other_layout(layout):
     return ModelError(
-        f"The compiled model {layout.name} was built with another version of this package (whose kernel "
-        f"interface is {FB_ABI_VERSION}), and its data have another layout: build it again.")
+        f"The compiled model {layout.name} was built with another version of this package, and its data have another "
+        f"layout than those of the kernel interface {FB_ABI_VERSION} of this version: build it again.")
 
 
 cdef cnp.ndarray new_array(int rows, int columns=-1):
@@ -330,6 +330,8 @@ cdef class Evaluator:
 
     cdef const fb_function *function(self, int role) except NULL:
         """A function of the table; the part that has it is built first if necessary."""
+        if not 0 <= role < FB_N_ROLES:
+            raise ModelError(f"The roles of functions are 0 to {FB_N_ROLES - 1}, not {role}.")
         if self.functions[role].call == NULL:
             if role < FB_RESIDUAL_JVP:
                 self.require_derivatives()
@@ -375,13 +377,17 @@ cdef class Evaluator:
         cdef int i, status
         cdef list read = None, results = [None] * f.n_results
         if f.needs & (FB_NEEDS_STATE | FB_NEEDS_COORDINATES):
-            inputs = self._inputs(
-                t, parameters, r, self.has_inputs if f.needs & FB_NEEDS_INPUTS else self.has_prescribed)
+            if f.needs & FB_NEEDS_INPUTS:
+                inputs = self._inputs(t, parameters, r, self.has_inputs)
+            else:
+                inputs = self._inputs(t, parameters, r, self.has_prescribed, False)
             state = self._state(t, x, self.n_x if f.needs & FB_NEEDS_STATE else self.n_q)
         if f.needs & FB_NEEDS_ACCELERATIONS:
             held = vector(accelerations, self.n_u, "The accelerations")
         if f.needs & FB_NEEDS_MULTIPLIERS:
             forces = vector(multipliers, self.n_l, "The multipliers")
+        if len(arguments) != f.n_arguments:
+            raise ModelError(f"A function of the role {role} takes {f.n_arguments} arguments, not {len(arguments)}.")
         if f.n_arguments:
             read = [vector(arguments[i], f.arguments[i].rows, f"The {f.arguments[i].name.decode()}")
                     for i in range(f.n_arguments)]
@@ -408,8 +414,10 @@ cdef class Evaluator:
         """All parameter values in order; a subclass that knows their names also takes mappings."""
         return p
 
-    def input_values(self, r, defaults):
-        """All input values in order; a subclass also takes mappings, with the expressions' values as defaults."""
+    def input_values(self, r, defaults, all_count=True):
+        """All input values in order; a subclass also takes mappings, with the expressions' values as defaults.
+
+        If not all count, those that prescribe no motion may be left out."""
         return r
 
     def held_inputs(self, r):
@@ -456,8 +464,8 @@ cdef class Evaluator:
         if status == FB_NOT_CLOSED:
             return f"The loops cannot be closed {where}: no state nearby satisfies the constraints."
         return (
-            f"The equations of motion, or their derivatives, are not finite {where}: a division by zero, a coordinate "
-            "beyond its range, or an input that is not finite."
+            f"The equations of motion, or what follows from them, are not finite {where}: a division by zero, an "
+            "overflow, a coordinate beyond its range, or an input that is not finite."
         )
 
     def too_few_dependent(self, where, rank=None):
@@ -483,8 +491,8 @@ cdef class Evaluator:
             raise ModelError(f"The parameters p must be finite, not {shown(p)}.")
         return values
 
-    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known):
-        """All inputs, or None for their expressions, as far as these are known."""
+    cdef cnp.ndarray _inputs(self, double t, cnp.ndarray parameters, object r, bint known, bint all_count=True):
+        """All inputs, or None for their expressions, as far as these are known; or those that prescribe motions."""
         cdef cnp.ndarray values
         if r is None:
             if not known:
@@ -493,7 +501,7 @@ cdef class Evaluator:
         if type(r) is not np.ndarray:
             values = new_array(self.n_r)
             self.kernel.default_inputs(t, self._prepare(parameters), data(values))
-            r = self.input_values(r, values.tolist())
+            r = self.input_values(r, values.tolist(), bool(all_count))
         values = vector(r, self.n_r, "The inputs r")
         if not fb_finite(data(values), self.n_r):
             raise ModelError(f"The inputs r must be finite, not {shown(r)}.")
@@ -1067,6 +1075,8 @@ cdef class Evaluator:
             f = self.function(role)
             if f.n_arguments:
                 raise ModelError(f"A function of the role {role} takes arguments, which have no values along a run.")
+            if not set(places) <= set(range(f.n_results)):
+                raise ModelError(f"A function of the role {role} has {f.n_results} results, not those of {places}.")
             arrays = []
             for j in range(f.n_results):
                 size = f.results[j].rows * (1 if f.results[j].columns == FB_VECTOR else f.results[j].columns)

@@ -28,9 +28,9 @@
 #define FB_COLLAPSE 1e-9
 #define FB_RECOVERY 1e-3
 
-/* Derivatives have collapsed if their errors limit nine of ten in so many steps, and these are so small a fraction of
+/* Derivatives have collapsed if their errors limit half of so many steps, and these are so small a fraction of
  * the average step: next to a singular position rounding errors of derivatives do not fall as the steps do. */
-#define FB_SLOW 1e-2
+#define FB_SLOW 3e-2
 enum { FB_WINDOW = 100 };
 
 enum { FB_BLOCK = 8, FB_MAX_STAGES = 16 };
@@ -93,9 +93,8 @@ struct fb_run {
     int interpolant_valid;
     long n_evaluations, n_steps;
     double t_begin;
-    int collapsed; /* whether that was reported */
-    /* the steps limited by derivatives since a step, its number and time, and the first step for another report */
-    long n_limited, marked, next_report;
+    int collapsed;          /* whether that was reported */
+    long n_limited, marked; /* the steps limited by derivatives since a step, its number and time */
     double marked_t;
     /* samples at given times, or after each step */
     const double *times; /* or NULL */
@@ -633,17 +632,14 @@ static inline int fb_differentiated_step_on(fb_run *s)
     }
 }
 
-/* Whether the errors of derivatives have made the steps collapse; each time after twice as many steps as before. */
+/* Whether the errors of derivatives have made the steps of a window collapse. */
 static inline int fb_derivatives_collapsed(fb_run *s)
 {
     const double length = fabs(s->t - s->marked_t) / FB_WINDOW, average = fabs(s->t - s->t_begin) / (double)s->n_steps;
-    const int collapsed =
-        s->n_limited * 10 >= FB_WINDOW * 9 && length < FB_SLOW * average && s->n_steps >= s->next_report;
+    const int collapsed = 2 * s->n_limited >= FB_WINDOW && length < FB_SLOW * average;
     s->n_limited = 0;
     s->marked = s->n_steps;
     s->marked_t = s->t;
-    if (collapsed)
-        s->next_report = 2 * s->n_steps;
     return collapsed;
 }
 

@@ -114,13 +114,15 @@ class Singular:
         times, states = map(np.concatenate, zip(*samples, strict=True))
         if times.size == 0:
             times, states = np.array([run.t]), run.x[np.newaxis]
-        # The last states of a collapsing run are almost equal, so states are sampled at equally spaced times.
         since = np.abs(times - times[0])
         if 0.0 < since[-1] < 2.0 * self.known:
             return
         self.known = float(since[-1])
-        order = np.searchsorted(since, np.linspace(0.0, since[-1], STATES)).clip(max=times.size - 1)
-        jacobians = self._jacobians(run.ode, zip(times[order], states[order], strict=True))
+        # At equally spaced times, since the last states of a collapsing run are almost equal; between states along
+        # straight lines, since a few long steps may be most of the run.
+        at = np.linspace(0.0, since[-1], STATES)
+        between = np.stack([np.interp(at, since, row) for row in states.T], axis=1)
+        jacobians = self._jacobians(run.ode, zip(np.interp(at, since, times), between, strict=True))
         column = np.abs(jacobians).max(axis=(0, 1))
         column[column == 0.0] = 1.0
         row = np.abs(jacobians / column).max(axis=(0, 2))

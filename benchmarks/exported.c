@@ -5,7 +5,7 @@
  */
 #include "four_bar.h"
 
-#include "fourbar_integrate.h"
+#include "fourbar_run.h"
 #include "four_bar_kernel.h"
 
 #include <dlfcn.h>
@@ -53,14 +53,14 @@ static double run(const double tolerance)
 }
 
 /* As runtime/integrator.pyx calls it. */
-static double stepper(void)
+static double steps(void)
 {
     static four_bar model;
-    static double constants[1000], inputs[8], failed[8], moved[8], memory[8 * 8];
+    static double constants[1000], inputs[8], failed[8], moved[8], memory[20 * FB_BLOCK];
+    static fb_stepper stepper;
     const fb_kernel *const kernel = fb_fastest(&four_bar_kernel);
     void *const work = calloc(1, kernel->work_size);
     fb_problem problem = {.kernel = kernel, .constants = constants, .inputs = inputs, .work = work};
-    fb_run run = {.problem = &problem, .method = &fb_rk4, .n = kernel->n_x, .padded = 8, .project = 1};
     double begin;
     four_bar_init(&model);
     four_bar_close(&model);
@@ -68,15 +68,13 @@ static double stepper(void)
     problem.clock = fb_all_time;
     problem.failed_x = failed;
     problem.moved_x = moved;
-    run.x = memory;
-    run.x_old = memory + 8;
-    run.scratch = memory + 16;
-    run.stages = memory + 24;
-    memcpy(run.x, model.x, sizeof model.x);
-    fb_prepare_method(&run);
+    fb_place_stepper(&stepper, &fb_runge_kutta, &fb_rk4, kernel->n_x, memory);
+    stepper.problem = &problem;
+    stepper.project = 1;
+    memcpy(stepper.x, model.x, sizeof model.x);
     begin = now();
     for (int k = 0; k < STEPS; ++k)
-        if (fb_fixed_step(&run, 1e-4) != 0)
+        if (fb_fixed_step(&stepper, 1e-4, 1e-4 * (k + 1)) != 0)
             exit(3);
     return (now() - begin) / STEPS;
 }
@@ -120,7 +118,7 @@ int main(int n, char **words)
     if (n == 3 && !strcmp(what, "run"))
         found = run(atof(words[2]));
     if (n == 2 && !strcmp(what, "stepper"))
-        found = stepper();
+        found = steps();
     if (n == 6 && !strcmp(what, "fmu"))
         found = fmu(words[2], words[3], atof(words[4]), atoi(words[5]));
     printf("%.9g\n", found);

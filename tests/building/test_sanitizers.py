@@ -31,7 +31,7 @@ PROGRAM = """
 #include "fourbar_dependent.h"
 #include "fourbar_forward.h"
 #include "fourbar_implicit.h"
-#include "fourbar_integrate.h"
+#include "fourbar_run.h"
 #include "fourbar_jacobians.h"
 #include <pthread.h>
 #include <stdio.h>
@@ -115,44 +115,48 @@ static double evaluate(const fb_kernel *k, const double *p)
 
 static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
 {
-    const int n = k->n_x, padded = (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
+    const fb_method *const steps_of = method == &fb_trapezoid ? &fb_augmented_lagrangian : &fb_runge_kutta;
+    const int n = k->n_x, padded = fb_padded(n);
     fb_source source = {.table = &table};
     fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
                           .inputs = doubles(k->n_r),
                           .work = calloc(1, k->work_size), .failed_x = doubles(n), .moved_x = doubles(n),
                           .sources = &source, .n_sources = by_table && k->n_r > 0};
-    double *const state = calloc((size_t)padded * 32, sizeof(double)), *const tolerance = doubles(padded);
+    fb_run s = {.direction = 1.0, .t_bound = 0.5, .max_step = INFINITY};
+    fb_stepper *const stepper = &s.stepper;
+    const size_t length = fb_place_stepper(stepper, steps_of, method, n, NULL);
+    double *const state = calloc(length + 2 * (size_t)padded, sizeof(double)), *const tolerance = doubles(n);
     double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
     k->prepare(p, problem.constants);
-    for (int i = 0; i < padded; ++i)
+    for (int i = 0; i < n; ++i)
         tolerance[i] = 1e-6;
     for (int i = 0; i < 50; ++i)
         times[i] = 0.01 * i;
-    memcpy(state, x0, (size_t)n * sizeof *x0);
-    fb_run s = {.problem = &problem, .method = method, .n = n, .padded = padded, .direction = 1.0, .t_bound = 0.5,
-                .max_step = INFINITY, .rtol = tolerance, .atol = tolerance, .project = k->n_c > 0, .until = 0.5,
-                .step = fb_step_on, .x = state, .x_old = state + padded, .scratch = state + 2 * padded,
-                .stages = state + 3 * padded, .interpolant = state + 20 * padded, .along = state + 30 * padded,
-                .times = times, .n_times = 50, .sample_t = t, .sample_x = samples, .room = 50, .pending = 1};
-    fb_prepare_method(&s);
+    fb_place_stepper(stepper, steps_of, method, n, state);
+    stepper->problem = &problem;
+    stepper->rtol = stepper->atol = tolerance;
+    stepper->project = k->n_c > 0;
+    memcpy(stepper->x, x0, (size_t)n * sizeof *x0);
+    s.watch.along = state + length;
+    s.samples = (fb_samples){
+        .times = times, .n_times = 50, .t = t, .x = samples, .room = 50, .pending = 1, .until = 0.5};
     if (method == &fb_rk4)
         for (int i = 0; i < 50; ++i)
-            fb_fixed_step(&s, 0.01);
+            fb_fixed_step(stepper, 0.01, 0.01 * (i + 1));
     else if (method == &fb_trapezoid) {
         fb_augmented augmented;
         double *const memory = doubles((int)fb_place_augmented(k, &augmented, NULL));
         fb_place_augmented(k, &augmented, memory);
-        s.augmented = &augmented;
-        s.step = fb_augmented_step_on;
+        stepper->augmented = &augmented;
         s.max_step = 0.01;
-        fb_augmented_begin(&s);
+        fb_begin(&s);
         fb_run_on(&s, 10000);
         free(memory);
     } else {
         fb_forward forward;
         const int n_directions = by_table ? 3 : FB_DIRECTIONS + 1;
-        double *const varied = doubles((int)fb_place_forward(&s, n_directions, &forward, NULL));
-        fb_place_forward(&s, n_directions, &forward, varied);
+        double *const varied = doubles((int)fb_place_forward(stepper, n_directions, &forward, NULL));
+        fb_place_forward(stepper, n_directions, &forward, varied);
         forward.samples = doubles(50 * forward.size);
         double *const changes = doubles(6 * forward.n_blocks * forward.width);
         const double *of_sources[1] = {changes};
@@ -161,53 +165,51 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         for (int i = 0; i < k->n_r; ++i)
             rate[i] = i == 2 ? 1 : -1;
         forward.fsal = forward.interpolant_valid = 0;
-        fb_steps steps = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
+        fb_record record = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
                           .sample_row = calloc(50, sizeof(long))};
-        s.forward = &forward;
-        s.step_jvp = fb_forward_step;
-        s.sample_jvp = fb_forward_sample;
-        s.steps = &steps;
+        s.observer = (fb_observer){&forward, fb_forward_step, fb_forward_sample};
+        s.record = &record;
         fb_keep_step(&s, 0.0);
         fb_begin(&s);
         if (by_table) { /* in two pieces */
-            s.t_bound = s.until = table_times[1];
+            s.t_bound = s.samples.until = table_times[1];
             problem.clock.last = nextafter(table_times[1], 0.0);
             fb_run_on(&s, 10000);
             problem.clock = fb_all_time;
             problem.clock.first = nextafter(table_times[1], 1.0);
-            s.t_bound = s.until = 0.5;
-            fb_resume(&s);
+            s.t_bound = s.samples.until = 0.5;
+            fb_resume(stepper);
         }
         fb_adjoint adjoint;
-        double *const memory = doubles((int)fb_place_adjoint(&s, &adjoint, NULL));
+        double *const memory = doubles((int)fb_place_adjoint(stepper, &adjoint, NULL));
         double *const weights = doubles(50 * k->n_o), *wrt_source = doubles(6);
         double *const of_speeds = doubles(k->n_u), *const scratch = doubles(k->n_u + k->n_l);
-        fb_place_adjoint(&s, &adjoint, memory);
+        fb_place_adjoint(stepper, &adjoint, memory);
         adjoint.jump.t_before = nextafter(table_times[1], 0.0);
         adjoint.jump.t_after = nextafter(table_times[1], 1.0);
         adjoint.jump.rate = rate;
         if (by_table) {
-            fb_speed_jump(&problem, &adjoint.jump, s.x, of_speeds, scratch);
-            fb_forward_jump(&s, &adjoint.jump, s.x, forward.s);
+            fb_speed_jump(&problem, &adjoint.jump, stepper->x, of_speeds, scratch);
+            fb_forward_jump(stepper, &forward, &adjoint.jump, stepper->x, forward.s);
             fb_keep_step(&s, 0.0);
         }
         fb_run_on(&s, 10000);
-        adjoint.rows = steps.rows;
-        adjoint.sample_row = steps.sample_row;
-        adjoint.sample_t = adjoint.output_t = steps.sample_t;
+        adjoint.rows = record.rows;
+        adjoint.sample_row = record.sample_row;
+        adjoint.sample_t = adjoint.output_t = record.sample_t;
         adjoint.wrt_states = samples;
         adjoint.wrt_outputs = k->n_o ? weights : NULL;
         adjoint.wrt_source = &wrt_source;
-        long sample = s.n_samples;
-        const double reached = s.x[0];
+        long sample = s.samples.n;
+        const double reached = stepper->x[0];
         problem.clock = fb_all_time;
-        for (long row = steps.n - 1; row >= 0; --row)
-            fb_step_vjp(&s, &adjoint, row, &sample);
-        free(varied), free(forward.samples), free(steps.rows), free(steps.sample_t), free(steps.sample_row);
+        for (long row = record.n - 1; row >= 0; --row)
+            fb_step_vjp(stepper, &adjoint, row, &sample);
+        free(varied), free(forward.samples), free(record.rows), free(record.sample_t), free(record.sample_row);
         free(memory), free(weights), free(wrt_source), free(changes), free(rate), free(of_speeds), free(scratch);
-        s.x[0] = reached;
+        stepper->x[0] = reached;
     }
-    const double end = s.x[0];
+    const double end = stepper->x[0];
     free(problem.constants), free(problem.inputs), free(problem.work), free(problem.failed_x), free(problem.moved_x);
     free(state), free(tolerance), free(t), free(samples);
     return end;

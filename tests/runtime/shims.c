@@ -2,6 +2,7 @@
 #include "fourbar_angle.h"
 #include "fourbar_augmented.h"
 #include "fourbar_batch.h"
+#include "fourbar_run.h"
 #include "fourbar_velocity_jump.h"
 
 #include <stdlib.h>
@@ -70,7 +71,7 @@ double entry(const double *values, int stride, int row, int i)
     return fb_entry(&columns, row, i);
 }
 
-/* fourbar_integrate.h: control of steps */
+/* fourbar_step_control.h */
 
 double change(double factor, int taken, int rejected)
 {
@@ -124,7 +125,7 @@ int tableau(int method, char name, double *values)
     }
 }
 
-/* fourbar_integrate.h: runs of x' = f(t, x) for any function f, as a kernel without constraints */
+/* fourbar_run.h: runs of x' = f(t, x) for any function f, as a kernel without constraints */
 
 enum { MOST = 8, WIDTH = FB_BLOCK, SAMPLES = 64 };
 
@@ -134,7 +135,7 @@ typedef struct run {
     fb_run run;
     fb_problem problem;
     fb_kernel kernel;
-    double memory[(5 + FB_MAX_STAGES + 1 + 8) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
+    double memory[(3 + FB_MAX_STAGES + FB_MAX_DENSE + 3 + 2) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
     double sample_t[SAMPLES], sample_x[SAMPLES * MOST], outputs[MOST], event_value[MOST], event_old[MOST];
     int event_output[MOST], event_direction[MOST];
     rates_of *rates;
@@ -189,37 +190,32 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     s->problem.failed_x = s->failed;
     s->problem.moved_x = s->moved;
     fb_run *const r = &s->run;
-    r->problem = &s->problem;
-    r->method = METHODS[method];
-    r->step = fb_step_on;
-    r->n = n;
-    r->padded = WIDTH;
-    r->direction = t_bound >= t ? 1.0 : -1.0;
-    r->t_bound = t_bound;
-    r->max_step = max_step;
-    r->t = r->t_begin = t;
-    r->until = r->direction * INFINITY;
-    double **const arrays[] = {&r->x, &r->x_old, &r->scratch, &r->along};
-    for (int i = 0; i < 4; ++i)
-        *arrays[i] = s->memory + i * WIDTH;
-    r->stages = s->memory + 5 * WIDTH;
-    r->interpolant = r->stages + (FB_MAX_STAGES + 1) * WIDTH;
-    memcpy(r->x, x, (size_t)n * sizeof *x);
+    fb_stepper *const stepper = &r->stepper;
+    stepper->problem = &s->problem;
+    const size_t length = fb_place_stepper(stepper, &fb_runge_kutta, METHODS[method], n, s->memory);
+    if (length + 2 * WIDTH > sizeof s->memory / sizeof *s->memory)
+        abort();
+    stepper->rtol = s->tolerances;
+    stepper->atol = s->tolerances + WIDTH;
+    stepper->t = r->pace.t_begin = t;
+    memcpy(stepper->x, x, (size_t)n * sizeof *x);
     for (int i = 0; i < WIDTH; ++i) {
         s->tolerances[i] = rtol;
         s->tolerances[WIDTH + i] = atol;
     }
-    r->rtol = s->tolerances;
-    r->atol = s->tolerances + WIDTH;
-    r->sample_t = s->sample_t;
-    r->sample_x = s->sample_x;
-    r->room = SAMPLES;
-    r->outputs = s->outputs;
-    r->event_output = s->event_output;
-    r->event_direction = s->event_direction;
-    r->event_value = s->event_value;
-    r->event_old = s->event_old;
-    fb_prepare_method(r);
+    r->direction = t_bound >= t ? 1.0 : -1.0;
+    r->t_bound = t_bound;
+    r->max_step = max_step;
+    r->samples.until = r->direction * INFINITY;
+    r->samples.t = s->sample_t;
+    r->samples.x = s->sample_x;
+    r->samples.room = SAMPLES;
+    r->watch.along = s->memory + length;
+    r->watch.outputs = s->outputs;
+    r->watch.output = s->event_output;
+    r->watch.direction = s->event_direction;
+    r->watch.value = s->event_value;
+    r->watch.old = s->event_old;
     return s;
 }
 
@@ -236,24 +232,25 @@ int begin_run(run *s)
 /* Goes on from another state, with a proposal for the length of the next step. */
 int go_on_from(run *s, double t, const double *x, double h_abs)
 {
-    s->run.t = t;
+    fb_stepper *const stepper = &s->run.stepper;
+    stepper->t = t;
     s->run.h_abs = h_abs;
-    memcpy(s->run.x, x, (size_t)s->run.n * sizeof *x);
-    return fb_resume(&s->run);
+    memcpy(stepper->x, x, (size_t)stepper->n * sizeof *x);
+    return fb_resume(stepper);
 }
 
 void sample_at(run *s, const double *times, int n)
 {
-    s->run.times = times;
-    s->run.n_times = n;
+    s->run.samples.times = times;
+    s->run.samples.n_times = n;
 }
 
 int watch_state(run *s, int i, int direction)
 {
-    const int place = s->run.n_events++;
+    const int place = s->run.watch.n_events++;
     s->event_output[place] = i;
     s->event_direction[place] = direction;
-    return fb_event_values(&s->run, s->run.t, s->run.x, s->event_value);
+    return fb_event_values(&s->run, s->run.stepper.t, s->run.stepper.x, s->event_value);
 }
 
 int advance(run *s, int steps)
@@ -263,30 +260,32 @@ int advance(run *s, int steps)
 
 int fixed_step(run *s, double h)
 {
-    return fb_fixed_step(&s->run, h);
+    fb_stepper *const stepper = &s->run.stepper;
+    return fb_fixed_step(stepper, h, fb_fixed_time(s->run.pace.t_begin, h, stepper->n_steps + 1));
 }
 
 int state_at(run *s, double t, double *x)
 {
-    return fb_state_at(&s->run, t, x);
+    return fb_state_at(&s->run.stepper, t, x);
 }
 
 /* t, the step's length and the proposal for the next; the numbers of evaluations, steps and samples. */
 void read_run(const run *s, double *times, double *x, int *counts)
 {
-    times[0] = s->run.t;
-    times[1] = s->run.h;
+    const fb_stepper *const stepper = &s->run.stepper;
+    times[0] = stepper->t;
+    times[1] = stepper->h;
     times[2] = s->run.h_abs;
-    memcpy(x, s->run.x, (size_t)s->run.n * sizeof *x);
-    counts[0] = (int)s->run.n_evaluations;
-    counts[1] = (int)s->run.n_steps;
-    counts[2] = (int)s->run.n_samples;
+    memcpy(x, stepper->x, (size_t)stepper->n * sizeof *x);
+    counts[0] = (int)stepper->n_evaluations;
+    counts[1] = (int)stepper->n_steps;
+    counts[2] = (int)s->run.samples.n;
 }
 
 void read_samples(const run *s, double *t, double *x)
 {
-    memcpy(t, s->sample_t, (size_t)s->run.n_samples * sizeof *t);
-    memcpy(x, s->sample_x, (size_t)(s->run.n_samples * s->run.n) * sizeof *x);
+    memcpy(t, s->sample_t, (size_t)s->run.samples.n * sizeof *t);
+    memcpy(x, s->sample_x, (size_t)(s->run.samples.n * s->run.stepper.n) * sizeof *x);
 }
 
 /* fourbar_augmented.h: the linear algebra of a state, given M, f, J and gamma */
@@ -339,7 +338,7 @@ int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double
     double *memory;
     fb_augmented a = augmented_of(&k, &memory, n_u, n_c, mass_matrix, forcing, jacobian, bias);
     fb_problem problem = {.kernel = &k};
-    fb_run s = {.problem = &problem, .augmented = &a};
+    fb_stepper s = {.problem = &problem, .augmented = &a};
     const int found = fb_augmented_solution(&s, accelerations);
     memcpy(multipliers, a.multipliers, (size_t)n_c * sizeof(double));
     free(memory);

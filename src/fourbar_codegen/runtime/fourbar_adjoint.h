@@ -15,11 +15,11 @@
 #ifndef FOURBAR_ADJOINT_H
 #define FOURBAR_ADJOINT_H
 
-#include "fourbar_integrate.h"
+#include "fourbar_runge_kutta.h"
 #include "fourbar_velocity_jump.h"
 
 typedef struct fb_adjoint {
-    const double *rows;    /* (n_rows, 2 + n_x), as `fb_steps` */
+    const double *rows;    /* (n_rows, 2 + n_x), as `fb_record` */
     fb_velocity_jump jump; /* at the beginning of the present piece */
     /* the samples: the row whose step contains each, and its time; the cost's derivatives with respect to states and
      * outputs there */
@@ -30,12 +30,12 @@ typedef struct fb_adjoint {
      * input to its value or its table's coefficients, then its values before and after */
     double *wrt_state, *wrt_parameters, **wrt_source;
     /* scratch */
-    double *gradient, *other;          /* (n_x + n_p + n_r,) */
-    double *weights;                   /* (n_x + n_l,) */
-    double *wrt_stages, *wrt_pieces;   /* (n_rows of stages or interpolant, padded) */
-    double *wrt_start, *wrt_end, *at;  /* (padded,) */
-    double *jacobian, *input_jacobian; /* (n_o, n_x, n_p, n_r or n_u + n_l), (n_r, n_p) */
-    double *solution;                  /* (n_u + n_l,) */
+    double *gradient, *other;                      /* (n_x + n_p + n_r,) */
+    double *weights;                               /* (n_x + n_l,) */
+    double *wrt_stages, *wrt_pieces;               /* (n_rows of stages or interpolant, padded) */
+    double *wrt_start, *wrt_end, *at, *wrt_sample; /* (padded,) */
+    double *jacobian, *input_jacobian;             /* (n_o, n_x, n_p, n_r or n_u + n_l), (n_r, n_p) */
+    double *solution;                              /* (n_u + n_l,) */
 } fb_adjoint;
 
 /* A gradient with respect to inputs becomes one with respect to what they are made of. */
@@ -208,7 +208,7 @@ static inline void fb_add_scaled(const int n, const double factor, const double 
 }
 
 /* Adds the weighted gradient with respect to a combination of stages to those with respect to the stages. */
-static inline void fb_spread(const fb_run *s, const fb_weights *w, const double factor, const double *from,
+static inline void fb_spread(const fb_stepper *s, const fb_weights *w, const double factor, const double *from,
                              fb_adjoint *a)
 {
     for (int j = 0; j < w->n; ++j)
@@ -217,9 +217,9 @@ static inline void fb_spread(const fb_run *s, const fb_weights *w, const double 
 
 /* Gradients with respect to the interpolant's coefficients, its start and its end become those with respect to its
  * stages. */
-static inline int fb_interpolant_vjp(fb_run *s, fb_adjoint *a)
+static inline int fb_interpolant_vjp(fb_stepper *s, fb_adjoint *a)
 {
-    const fb_tableau *const m = s->method;
+    const fb_tableau *const m = s->tableau;
     const int n = s->n, padded = s->padded, end = m->n_stages;
     int status = FB_OK;
     const double *pieces = a->wrt_pieces;
@@ -235,14 +235,14 @@ static inline int fb_interpolant_vjp(fb_run *s, fb_adjoint *a)
         pieces += 3 * padded;
     }
     for (int i = 0; i < m->n_dense; ++i)
-        fb_spread(s, s->dense + i, s->h, pieces + i * padded, a);
+        fb_spread(s, s->weights.dense + i, s->h, pieces + i * padded, a);
     for (int i = m->n_extra - 1; i >= 0 && status == FB_OK; --i) {
-        fb_combine(s, s->more + i, s->h, s->x_old, s->scratch);
+        fb_combine(s, s->weights.extra + i, s->h, s->x_old, s->x_new);
         memset(a->at, 0, (size_t)n * sizeof *a->at);
-        status = fb_rates_vjp(s->problem, a, s->t_old + m->c_extra[i] * s->h, s->scratch,
+        status = fb_rates_vjp(s->problem, a, s->t_old + m->c_extra[i] * s->h, s->x_new,
                               a->wrt_stages + (end + 1 + i) * padded, a->at);
         fb_add_scaled(n, 1.0, a->at, a->wrt_start);
-        fb_spread(s, s->more + i, s->h, a->at, a);
+        fb_spread(s, s->weights.extra + i, s->h, a->at, a);
     }
     if (status == FB_OK)
         status = fb_rates_vjp(s->problem, a, s->t, s->x, a->wrt_stages + end * padded, a->wrt_end);
@@ -250,14 +250,14 @@ static inline int fb_interpolant_vjp(fb_run *s, fb_adjoint *a)
 }
 
 /* The samples within a step, at states that the interpolant gives. */
-static inline int fb_samples_within_vjp(fb_run *s, fb_adjoint *a, const long first, const long end)
+static inline int fb_samples_within_vjp(fb_stepper *s, fb_adjoint *a, const long first, const long end)
 {
-    const fb_tableau *const m = s->method;
+    const fb_tableau *const m = s->tableau;
     const int n = s->n, n_pieces = m->n_dense + (m->hermite ? 3 : 0);
     int status = fb_evaluate(s, s->t, s->x, s->stages + m->n_stages * s->padded);
     memset(a->wrt_pieces, 0, (size_t)(n_pieces * s->padded) * sizeof *a->wrt_pieces);
     for (long sample = first; sample < end && status == FB_OK; ++sample) {
-        double *const at = a->at, *const wrt_sample = s->along;
+        double *const at = a->at, *const wrt_sample = a->wrt_sample;
         status = fb_state_at(s, a->sample_t[sample], at);
         memset(wrt_sample, 0, (size_t)n * sizeof *wrt_sample);
         if (status == FB_OK)
@@ -277,9 +277,9 @@ static inline int fb_samples_within_vjp(fb_run *s, fb_adjoint *a, const long fir
 }
 
 /* From the end of the step of a row to its beginning; the samples before number `*sample` belong to it. */
-static inline int fb_step_vjp(fb_run *s, fb_adjoint *a, const long row, long *sample)
+static inline int fb_step_vjp(fb_stepper *s, fb_adjoint *a, const long row, long *sample)
 {
-    const fb_tableau *const m = s->method;
+    const fb_tableau *const m = s->tableau;
     const int n = s->n, width = 2 + n, n_stages = m->n_stages;
     const double *const to = a->rows + row * width;
     int status = FB_OK;
@@ -320,35 +320,35 @@ static inline int fb_step_vjp(fb_run *s, fb_adjoint *a, const long row, long *sa
     if (status == FB_OK && s->project)
         status = fb_projection_vjp(s->problem, a, s->t, s->x, a->wrt_end);
     fb_add_scaled(n, 1.0, a->wrt_end, a->wrt_start);
-    fb_spread(s, s->stage + n_stages, s->h, a->wrt_end, a);
+    fb_spread(s, s->weights.stage + n_stages, s->h, a->wrt_end, a);
     for (int k = n_stages - 1; k >= 0 && status == FB_OK; --k) {
         if (k > 0)
-            fb_combine(s, s->stage + k, s->h, s->x_old, s->scratch);
+            fb_combine(s, s->weights.stage + k, s->h, s->x_old, s->x_new);
         else
-            memcpy(s->scratch, s->x_old, (size_t)n * sizeof *to);
+            memcpy(s->x_new, s->x_old, (size_t)n * sizeof *to);
         memset(a->at, 0, (size_t)n * sizeof *a->at);
-        status =
-            fb_rates_vjp(s->problem, a, s->t_old + m->c[k] * s->h, s->scratch, a->wrt_stages + k * s->padded, a->at);
+        status = fb_rates_vjp(s->problem, a, s->t_old + m->c[k] * s->h, s->x_new, a->wrt_stages + k * s->padded, a->at);
         fb_add_scaled(n, 1.0, a->at, a->wrt_start);
         if (k > 0)
-            fb_spread(s, s->stage + k, s->h, a->at, a);
+            fb_spread(s, s->weights.stage + k, s->h, a->at, a);
     }
     memcpy(a->wrt_state, a->wrt_start, (size_t)n * sizeof *a->wrt_state);
     return status;
 }
 
 /* Places the results and the scratch memory, unless that is NULL; returns the number of doubles. */
-static inline size_t fb_place_adjoint(const fb_run *run, fb_adjoint *a, double *memory)
+static inline size_t fb_place_adjoint(const fb_stepper *s, fb_adjoint *a, double *memory)
 {
-    const fb_kernel *const k = run->problem->kernel;
-    const int x = k->n_x, p = k->n_p, r = k->n_r, u = k->n_u, l = k->n_l, padded = run->padded;
+    const fb_kernel *const k = s->problem->kernel;
+    const int x = k->n_x, p = k->n_p, r = k->n_r, u = k->n_u, l = k->n_l, padded = s->padded;
     const int of_variables = x > p ? (x > r ? x : r) : (p > r ? p : r);
     const fb_place places[] = {
-        {&a->wrt_stages, (run->method->n_stages + 1 + run->method->n_extra) * padded},
-        {&a->wrt_pieces, (run->method->n_dense + 3) * padded},
+        {&a->wrt_stages, (s->tableau->n_stages + 1 + s->tableau->n_extra) * padded},
+        {&a->wrt_pieces, (s->tableau->n_dense + 3) * padded},
         {&a->wrt_start, padded},
         {&a->wrt_end, padded},
         {&a->at, padded},
+        {&a->wrt_sample, padded},
         {&a->wrt_state, padded},
         {&a->wrt_parameters, p},
         {&a->gradient, x + p + r},

@@ -24,7 +24,8 @@
 #ifndef FOURBAR_AUGMENTED_H
 #define FOURBAR_AUGMENTED_H
 
-#include "fourbar_integrate.h"
+#include "fourbar_step_control.h"
+#include "fourbar_stepper.h"
 
 /* The penalty of constraints in units of the mass matrix, for Newton's method and for projections. */
 #define FB_PENALTY 1e6
@@ -149,7 +150,7 @@ static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const dou
 }
 
 /* M, f, J, gamma and violations at the state x; a negative status comes from the callback of inputs. */
-static inline int fb_augmented_equations(fb_run *s, const double t, const double *x, double *coordinate_rates)
+static inline int fb_augmented_equations(fb_stepper *s, const double t, const double *x, double *coordinate_rates)
 {
     fb_problem *const p = s->problem;
     fb_augmented *const a = s->augmented;
@@ -217,7 +218,7 @@ static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, 
 }
 
 /* Accelerations projected onto J u' + gamma = 0, and their multipliers. */
-static inline int fb_project_accelerations(fb_run *s, double *restrict accelerations)
+static inline int fb_project_accelerations(fb_stepper *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
@@ -234,7 +235,7 @@ static inline int fb_project_accelerations(fb_run *s, double *restrict accelerat
 
 /* u' and lambda* of a state whose equations are known, projected onto the constraints from
  * M u' = f - alpha J^T (J u' + gamma). */
-static inline int fb_augmented_solution(fb_run *s, double *restrict accelerations)
+static inline int fb_augmented_solution(fb_stepper *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
     fb_augmented *const a = s->augmented;
@@ -250,7 +251,7 @@ static inline int fb_augmented_solution(fb_run *s, double *restrict acceleration
 }
 
 /* z' for accelerations and the multipliers lambda*. */
-static inline void fb_augmented_state_rates(fb_run *s, const double t, const double *x, const double *accelerations,
+static inline void fb_augmented_state_rates(fb_stepper *s, const double t, const double *x, const double *accelerations,
                                             double *restrict rates)
 {
     const fb_problem *const p = s->problem;
@@ -273,7 +274,7 @@ static inline double fb_row_size(const fb_kernel *k, const fb_augmented *a, cons
 /* Scales rows that keep positions to about the size of the largest, if both J and the scales of violations are smaller:
  * entries of J may vanish in a singular position, and terms in a plane of symmetry. Other rows are not scaled. Factors
  * are powers of two, which cause no rounding errors. */
-static inline void fb_choose_row_units(fb_run *s, const double t, const double *x)
+static inline void fb_choose_row_units(fb_stepper *s, const double t, const double *x)
 {
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
@@ -293,33 +294,39 @@ static inline void fb_choose_row_units(fb_run *s, const double t, const double *
     }
 }
 
-/* x' at the beginning of a run, or after a breakpoint. */
-static inline int fb_augmented_begin(fb_run *s)
+/* x' at a state where a run begins, or goes on. */
+static inline int fb_augmented_restart(fb_stepper *s, const double since, const double *x, double *rates)
 {
     const fb_kernel *const k = s->problem->kernel;
-    double *const accelerations = s->stages + k->n_q;
-    s->h_abs = s->max_step;
-    s->fsal = 0;
-    const double t = fb_time(&s->problem->clock, s->t);
+    double *const accelerations = rates + k->n_q;
+    const double t = fb_time(&s->problem->clock, since);
     for (int row = 0; row < k->n_c; ++row)
         s->augmented->row_unit[row] = 1.0;
-    int called = fb_augmented_equations(s, t, s->x, s->stages);
+    int called = fb_augmented_equations(s, t, x, rates);
     if (called < 0)
         return called;
-    fb_choose_row_units(s, t, s->x);
-    called = fb_augmented_equations(s, t, s->x, s->stages);
+    fb_choose_row_units(s, t, x);
+    called = fb_augmented_equations(s, t, x, rates);
     if (called < 0)
         return called;
     if (fb_augmented_solution(s, accelerations) != FB_RUN_PAUSED)
         memset(accelerations, 0, (size_t)k->n_u * sizeof(double));
-    fb_augmented_state_rates(s, t, s->x, accelerations, s->stages);
+    fb_augmented_state_rates(s, t, x, accelerations, rates);
     return 0;
+}
+
+static inline int fb_augmented_init(fb_stepper *s, const double direction, const double interval, const double max_step,
+                                    double *h_abs)
+{
+    (void)direction, (void)interval;
+    *h_abs = max_step;
+    return fb_augmented_restart(s, s->t, s->x, s->stages);
 }
 
 /* The matrix of Newton's method: half a step times the derivatives of M u' - f - J^T lambda with respect to the speeds
  * and the auxiliary states; and those of the rule's residual for the auxiliary states, with u' and lambda held. */
-static inline void fb_newton_matrix(fb_run *s, const double t, const double h, const double penalty, const double *x,
-                                    const double *accelerations)
+static inline void fb_newton_matrix(fb_stepper *s, const double t, const double h, const double penalty,
+                                    const double *x, const double *accelerations)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
@@ -361,7 +368,7 @@ static inline int fb_is_rate(const fb_kernel *k, const int row)
 
 /* Newton's method for speeds and auxiliary states at the step's end, in x with the positions, and accelerations in x'.
  */
-static inline int fb_augmented_newton(fb_run *s, const double t, const double h, double *restrict x,
+static inline int fb_augmented_newton(fb_stepper *s, const double t, const double h, double *restrict x,
                                       double *restrict rates)
 {
     const fb_kernel *const k = s->problem->kernel;
@@ -441,7 +448,8 @@ static inline int fb_augmented_newton(fb_run *s, const double t, const double h,
 }
 
 /* Projects the state onto the constraints, positions first. */
-static inline int fb_augmented_project(fb_run *s, const double t, double *restrict x, double *restrict coordinate_rates)
+static inline int fb_augmented_project(fb_stepper *s, const double t, double *restrict x,
+                                       double *restrict coordinate_rates)
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
@@ -482,57 +490,64 @@ static inline int fb_augmented_project(fb_run *s, const double t, double *restri
 }
 
 /* Whether projections have changed the step's result (`before` them) by little compared with the step. */
-static inline int fb_is_correction(const fb_run *s, const double *before, const double h)
+static inline int fb_is_correction(const fb_stepper *s, const double *before, const double h)
 {
     double changed = 0.0, corrected = 0.0;
     const fb_kernel *const k = s->problem->kernel;
     for (int i = 0; i < k->n_q + k->n_u; ++i) {
         const double scale = i < k->n_q ? 1.0 : fabs(h);
-        changed = fb_max(changed, scale * fabs(s->scratch[i] - s->x[i]));
-        corrected = fb_max(corrected, scale * fabs(s->scratch[i] - before[i]));
+        changed = fb_max(changed, scale * fabs(s->x_new[i] - s->x[i]));
+        corrected = fb_max(corrected, scale * fabs(s->x_new[i] - before[i]));
     }
     return corrected <= FB_CORRECTION * changed;
 }
 
-/* A step from the last state to a time, in `scratch` and the last row of stages. */
-static inline int fb_augmented_try(fb_run *s, const double t_new)
+/* A step from the last state to a time, in `x_new` and the last row of stages. */
+static inline int fb_augmented_try(fb_stepper *s, const double t_new)
 {
-    double *const end = s->stages + s->padded;
+    double *const end = fb_end_rates(s);
     const double t = fb_time(&s->problem->clock, t_new);
-    int status = fb_augmented_newton(s, t, t_new - s->t, s->scratch, end);
-    memcpy(s->x_old, s->scratch, (size_t)s->n * sizeof(double)); /* free until the step is accepted */
+    int status = fb_augmented_newton(s, t, t_new - s->t, s->x_new, end);
+    memcpy(s->x_old, s->x_new, (size_t)s->n * sizeof(double)); /* free until the step is accepted */
     if (status == FB_RUN_PAUSED && s->project)
-        status = fb_augmented_project(s, t, s->scratch, end);
+        status = fb_augmented_project(s, t, s->x_new, end);
     if (status == FB_RUN_PAUSED && !fb_is_correction(s, s->x_old, t_new - s->t))
         status = FB_RUN_DIVERGED;
     if (status == FB_RUN_PAUSED)
         status = fb_project_accelerations(s, end + s->problem->kernel->n_q);
     if (status == FB_RUN_PAUSED)
-        fb_augmented_state_rates(s, t, s->scratch, end + s->problem->kernel->n_q, end);
-    return status == FB_RUN_PAUSED && !(fb_finite(s->scratch, s->n) && fb_finite(end, s->n)) ? FB_RUN_DIVERGED : status;
+        fb_augmented_state_rates(s, t, s->x_new, end + s->problem->kernel->n_q, end);
+    return status == FB_RUN_PAUSED && !(fb_finite(s->x_new, s->n) && fb_finite(end, s->n)) ? FB_RUN_DIVERGED : status;
 }
 
-/* One step, shortened if its equations cannot be solved; an FB_RUN, or negative from the callback of inputs. */
-static inline int fb_augmented_step_on(fb_run *s)
+/* There is no error estimate: a step is accepted if its equations could be solved. */
+static inline int fb_augmented_attempt(fb_stepper *s, const double t_new, double *error)
 {
     const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
-    int status = FB_RUN_DIVERGED;
-    if (s->fsal)
-        memcpy(s->stages, s->stages + s->padded, (size_t)s->padded * sizeof(double));
+    if (!(fabs(t_new - s->t) >= fb_least_step(s->t, t_new - s->t)))
+        return FB_RUN_TOO_SMALL;
     memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
-    for (double h = s->max_step; status == FB_RUN_DIVERGED && h >= FB_MIN_STEP * s->max_step; h /= 2) {
-        double t_new = s->t + h * s->direction;
-        /* A tiny last step would consist of rounding errors. */
-        if (s->direction * (t_new - s->t_bound) > -FB_SAME_TIME * s->max_step)
-            t_new = s->t_bound;
-        if (!(fabs(t_new - s->t) >= fb_least_step(s->t, s->direction)))
-            return FB_RUN_TOO_SMALL;
+    const int status = fb_augmented_try(s, t_new);
+    *error = status == FB_RUN_PAUSED ? 0.0 : NAN;
+    if (status == FB_RUN_DIVERGED)
         memcpy(s->augmented->multipliers, s->augmented->multipliers_old, size);
-        status = fb_augmented_try(s, t_new);
-        if (status == FB_RUN_PAUSED)
-            fb_accept(s, t_new);
-    }
-    return status;
+    return status < 0 ? status : 0;
 }
+
+/* Half the length after a step that could not be solved; otherwise max_step, which is the limit. */
+static inline double fb_augmented_length(const fb_stepper *s, const double h_abs, const double error,
+                                         const int rejected)
+{
+    (void)s, (void)rejected;
+    return error < 1.0 ? INFINITY : h_abs / 2;
+}
+
+static const fb_method fb_augmented_lagrangian = {.init = fb_augmented_init,
+                                                  .attempt = fb_augmented_attempt,
+                                                  .restart = fb_augmented_restart,
+                                                  .next_length = fb_augmented_length,
+                                                  .projects = 1,
+                                                  .least_share = FB_MIN_STEP,
+                                                  .largest_share = FB_SAME_TIME};
 
 #endif

@@ -1,6 +1,6 @@
-/* Runs of an ensemble: the steps of fourbar_integrate.h with a run in each SIMD lane, with its own time and step. When
- * a run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a failed
- * projection, NaN) is marked and leaves its lane, to be run alone.
+/* Runs of an ensemble: the steps of fourbar_runge_kutta.h with a run in each SIMD lane, with its own time and step.
+ * When a run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a
+ * failed projection, NaN) is marked and leaves its lane, to be run alone.
  */
 
 typedef struct fb_lanes {
@@ -20,8 +20,8 @@ typedef struct fb_lanes {
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
     fb_problem problem;
-    fb_run begin;
-    double padded[4][(N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK];
+    fb_stepper begin;
+    double rows[(3 + FB_MAX_STAGES + FB_MAX_DENSE + 3) * ((N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK)];
     double lane_failed[N_X], lane_moved[N_X];
 } fb_lanes;
 
@@ -89,14 +89,14 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
 {
     const int two = e->method->n_errors == 2;
     fb_real error[N_X], scale[N_X], sum = fb_number(0.0), sum3 = fb_number(0.0);
-    fb_lanes_combine(c, c->begin.error, two ? fb_number(1.0) : h, NULL, error);
+    fb_lanes_combine(c, c->begin.weights.error, two ? fb_number(1.0) : h, NULL, error);
     for (int i = 0; i < N_X; ++i) {
         scale[i] = 1.0 / (e->atol[i] + fb_greater(fb_abs(x_new[i]), fb_abs(c->x[i])) * e->rtol[i]);
         sum += (error[i] * scale[i]) * (error[i] * scale[i]);
     }
     if (!two)
         return sum;
-    fb_lanes_combine(c, c->begin.error + 1, fb_number(1.0), NULL, error);
+    fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error);
     for (int i = 0; i < N_X; ++i)
         sum3 += (error[i] * scale[i]) * (error[i] * scale[i]);
     /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
@@ -210,7 +210,7 @@ static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, c
 static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     fb_lane_equations *const s = &c->equations;
-    fb_run *const b = &c->begin;
+    fb_stepper *const b = &c->begin;
     for (;;) {
         const long member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
         if (member >= e->n)
@@ -232,16 +232,17 @@ static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
         b->n_evaluations = 0;
         int status = e->project ? fb_problem_project(&c->problem, 0.0, x, 0) : FB_OK;
         memcpy(b->x, x, N_X * sizeof *x);
+        double h_abs = NAN;
         if (status == FB_OK)
-            status = fb_begin(b);
+            status = fb_runge_kutta_init(b, e->t_bound > 0.0 ? 1.0 : -1.0, fabs(e->t_bound), e->max_step, &h_abs);
         c->n_evaluations[lane] = b->n_evaluations;
-        if (status != FB_OK || !fb_finite(b->stages, N_X) || !isfinite(b->h_abs)) {
+        if (status != FB_OK || !fb_finite(b->stages, N_X) || !isfinite(h_abs)) {
             fb_leave(c, e, lane, FB_MEMBER_LEFT);
             continue;
         }
         c->active[lane] = -1;
         c->t[lane] = 0.0;
-        c->h_abs[lane] = b->h_abs;
+        c->h_abs[lane] = h_abs;
         fb_put_lane(x, lane, N_X, c->x);
         fb_put_lane(b->stages, lane, N_X, c->stages[0]);
         fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
@@ -334,15 +335,15 @@ static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble 
                                         const fb_real *x_new, const fb_mask within)
 {
     const fb_tableau *const m = e->method;
-    const fb_run *const b = &c->begin;
+    const fb_stepper *const b = &c->begin;
     fb_real scratch[N_X];
     if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
-            fb_lanes_combine(c, b->dense + i, h, NULL, c->interpolant[i]);
+            fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[i]);
         return;
     }
     for (int i = 0; i < m->n_extra; ++i) {
-        fb_lanes_combine(c, b->more + i, h, c->x, scratch);
+        fb_lanes_combine(c, b->weights.extra + i, h, c->x, scratch);
         fb_lanes_rates(c, e, c->t + m->c_extra[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
     }
     const fb_real *const f_old = c->stages[0], *const f = c->stages[m->n_stages];
@@ -353,7 +354,7 @@ static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble 
         c->interpolant[2][i] = 2.0 * change - h * (f[i] + f_old[i]);
     }
     for (int i = 0; i < m->n_dense; ++i)
-        fb_lanes_combine(c, b->dense + i, h, NULL, c->interpolant[3 + i]);
+        fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[3 + i]);
 }
 
 /* The states at a fraction y of each step. */
@@ -440,11 +441,11 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     fb_real t_end;
     memcpy(&t_end, t_new, sizeof t_end);
     for (int k = 1; k <= m->n_stages; ++k) {
-        fb_lanes_combine(c, c->begin.stage + k, h, c->x, x_new);
+        fb_lanes_combine(c, c->begin.weights.stage + k, h, c->x, x_new);
         if (k < m->n_stages)
             fb_lanes_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
     }
-    if (!e->project || c->begin.error[0].stage[c->begin.error[0].n - 1] == m->n_stages)
+    if (!e->project || c->begin.weights.error[0].stage[c->begin.weights.error[0].n - 1] == m->n_stages)
         fb_lanes_rates(c, e, t_end, x_new, c->active, end);
     const fb_real error = fb_lanes_error(c, e, h, x_new);
     fb_mask taken = c->active & (error < (double)N_X);
@@ -501,7 +502,7 @@ static int run(const fb_ensemble *e)
     fb_lanes *const c = (fb_lanes *)fb_new_lane_equations(e->kernel, sizeof *c);
     if (c == NULL)
         return -1;
-    fb_run *const b = &c->begin;
+    fb_stepper *const b = &c->begin;
     const fb_problem problem = {
         .kernel = e->kernel,
         .constants = c->equations.lane_constants,
@@ -513,18 +514,9 @@ static int run(const fb_ensemble *e)
     };
     c->problem = problem;
     b->problem = &c->problem;
-    b->method = e->method;
-    b->n = N_X;
-    b->padded = sizeof c->padded[0] / sizeof(double);
-    b->direction = e->t_bound > 0.0 ? 1.0 : -1.0;
-    b->t_bound = e->t_bound;
-    b->max_step = e->max_step;
     b->rtol = e->rtol;
     b->atol = e->atol;
-    b->x = c->padded[0];
-    b->scratch = c->padded[1];
-    b->stages = c->padded[2];
-    fb_prepare_method(b);
+    fb_place_stepper(b, &fb_runge_kutta, e->method, N_X, c->rows);
     for (;;) {
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (!c->active[lane])

@@ -15,7 +15,8 @@
 #ifndef FOURBAR_FORWARD_H
 #define FOURBAR_FORWARD_H
 
-#include "fourbar_integrate.h"
+#include "fourbar_step_control.h"
+#include "fourbar_stepper.h"
 #include "fourbar_velocity_jump.h"
 
 #include <float.h>
@@ -47,9 +48,9 @@ typedef struct fb_forward {
     double *relative;             /* (n_blocks * width,): directions' relative changes of what is varied */
     double *lately;               /* (size,): the largest |S| of the last steps, fading */
     double *s, *s_old, *scratch;  /* (size,) */
-    double *stages, *interpolant; /* as in fb_run, with rows of `size` */
+    double *stages, *interpolant; /* as in fb_stepper, with rows of `size` */
     double *samples;              /* (room, size) */
-    fb_kept kept[FB_MAX_STAGES];  /* those of fb_run */
+    fb_kept kept[FB_MAX_STAGES];  /* those of fb_stepper */
     int fsal, interpolant_valid;
     int has_avx2; /* whether the processor has these instructions */
 } fb_forward;
@@ -92,10 +93,9 @@ static inline void fb_forward_combine(const fb_forward *f, const fb_weights *w, 
 }
 
 /* dr/dp of the inputs at a time; 0 for those with a source. */
-static inline void fb_forward_inputs(fb_run *run, const double t)
+static inline void fb_forward_inputs(fb_stepper *stepper, fb_forward *f, const double t)
 {
-    fb_forward *const f = run->forward;
-    fb_problem *const p = run->problem;
+    fb_problem *const p = stepper->problem;
     const int n_p = p->kernel->n_p;
     if (p->kernel->n_r == 0)
         return;
@@ -131,10 +131,10 @@ static inline void fb_source_direction(const fb_forward *f, const fb_source *sou
 
 /* The directions of a block, whose rows of x are given. Those of r follow from p, or from the sources, whose values at
  * this time were the last ones. */
-static inline double *fb_forward_directions(fb_run *run, const int block, const double t, const double *s)
+static inline double *fb_forward_directions(fb_stepper *stepper, fb_forward *f, const int block, const double t,
+                                            const double *s)
 {
-    fb_forward *const f = run->forward;
-    fb_problem *const p = run->problem;
+    fb_problem *const p = stepper->problem;
     const fb_kernel *const k = p->kernel;
     const int n_x = k->n_x, n_p = k->n_p, n_r = k->n_r;
     double *const directions = f->directions + block * (n_x + n_p + n_r) * f->width;
@@ -156,22 +156,21 @@ static inline double *fb_forward_directions(fb_run *run, const int block, const 
 
 /* A row of the derivatives' stages, f_x S + f_p P + f_r R at the state x of a row of the run's stages; NaN where the
  * equations cannot be differentiated. `is_known`: the problem's inputs and workspace are those of that row. */
-static inline int fb_forward_rates(fb_run *run, const int row, const int is_known, const double since, const double *x,
-                                   const double *s)
+static inline int fb_forward_rates(fb_stepper *stepper, fb_forward *f, const int row, const int is_known,
+                                   const double since, const double *x, const double *s)
 {
-    fb_forward *const f = run->forward;
-    fb_problem *const p = run->problem;
+    fb_problem *const p = stepper->problem;
     const double t = fb_time(&p->clock, since);
-    const double *const known = is_known ? run->stages + row * run->padded + p->kernel->n_q : NULL;
+    const double *const known = is_known ? stepper->stages + row * stepper->padded + p->kernel->n_q : NULL;
     double *const rates = f->stages + row * f->size;
     /* The intervals of tables are those of the last call. */
     const int called = is_known && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
-    fb_forward_inputs(run, t);
+    fb_forward_inputs(stepper, f, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
-        const double *const directions = fb_forward_directions(run, block, t, s);
+        const double *const directions = fb_forward_directions(stepper, f, block, t, s);
         if (p->kernel->jvp(p->kernel->functions, t, x, p->constants, p->inputs, known, f->width, directions,
                            rates + block * n, p->work) != FB_OK)
             for (int i = 0; i < n; ++i)
@@ -181,32 +180,33 @@ static inline int fb_forward_rates(fb_run *run, const int row, const int is_know
 }
 
 /* The same with the workspace of a kept row, in which its evaluation is, or is repeated. */
-static inline int fb_forward_row(fb_run *run, const int row, const int is_known, const double since, const double *x,
-                                 const double *s)
+static inline int fb_forward_row(fb_stepper *stepper, fb_forward *f, const int row, const int is_known,
+                                 const double since, const double *x, const double *s)
 {
-    fb_swap_kept(run->problem, run->kept + row);
-    const int status = fb_forward_rates(run, row, is_known, since, x, s);
-    fb_swap_kept(run->problem, run->kept + row);
+    fb_swap_kept(stepper->problem, stepper->kept + row);
+    const int status = fb_forward_rates(stepper, f, row, is_known, since, x, s);
+    fb_swap_kept(stepper->problem, stepper->kept + row);
     return status;
 }
 
 /* S after a jump of the speeds, for the state before it: the jump's derivatives are added. */
-static inline int fb_forward_jump(fb_run *run, fb_velocity_jump *jump, const double *x, double *s)
+static inline int fb_forward_jump(fb_stepper *stepper, fb_forward *f, fb_velocity_jump *jump, const double *x,
+                                  double *s)
 {
-    fb_forward *const f = run->forward;
-    fb_problem *const p = run->problem;
+    fb_problem *const p = stepper->problem;
     const fb_kernel *const k = p->kernel;
     const int n_r = k->n_r, first = (k->n_x + k->n_p) * f->width, n = k->n_x * f->width;
     const size_t size = (size_t)(n_r * f->width) * sizeof *s;
     int status = FB_OK;
     fb_fill_inputs(p, jump->t_before, x);
-    fb_forward_inputs(run, jump->t_before);
+    fb_forward_inputs(stepper, f, jump->t_before);
     for (int block = 0; block < f->n_blocks; ++block)
-        memcpy(f->before + block * n_r * f->width, fb_forward_directions(run, block, jump->t_before, s) + first, size);
+        memcpy(f->before + block * n_r * f->width, fb_forward_directions(stepper, f, block, jump->t_before, s) + first,
+               size);
     fb_fill_jump(p, jump, x);
-    fb_forward_inputs(run, jump->t_after);
+    fb_forward_inputs(stepper, f, jump->t_after);
     for (int block = 0; block < f->n_blocks && status == FB_OK; ++block) {
-        double *const directions = fb_forward_directions(run, block, jump->t_after, s);
+        double *const directions = fb_forward_directions(stepper, f, block, jump->t_after, s);
         double *const of_inputs = directions + first;
         const double *const before = f->before + block * n_r * f->width;
         double *const rates = f->scratch + block * n, *const others = f->s_old + block * n;
@@ -227,18 +227,18 @@ static inline int fb_forward_jump(fb_run *run, fb_velocity_jump *jump, const dou
 }
 
 /* Moves S at a state that satisfies the constraints onto their tangent; `last` is the last call with the problem. */
-static inline int fb_forward_close(fb_run *run, const double since, const enum FB_LAST last, const double *x, double *s)
+static inline int fb_forward_close(fb_stepper *stepper, fb_forward *f, const double since, const enum FB_LAST last,
+                                   const double *x, double *s)
 {
-    fb_forward *const f = run->forward;
-    fb_problem *const p = run->problem;
+    fb_problem *const p = stepper->problem;
     const double t = fb_time(&p->clock, since);
     const int called = last != FB_LAST_ANY && p->n_sources == 0 ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
-    fb_forward_inputs(run, t);
+    fb_forward_inputs(stepper, f, t);
     for (int block = 0; block < f->n_blocks; ++block) {
         const int n = p->kernel->n_x * f->width;
-        double *const directions = fb_forward_directions(run, block, t, s);
+        double *const directions = fb_forward_directions(stepper, f, block, t, s);
         if (p->kernel->projection_jvp(p->kernel->functions, t, x, p->constants, p->inputs, last, f->width, directions,
                                       p->work) == FB_OK)
             memcpy(s + block * n, directions, (size_t)n * sizeof *s);
@@ -250,26 +250,25 @@ static inline int fb_forward_close(fb_run *run, const double since, const enum F
 }
 
 /* The largest error norm of the directions in `FB_FEW_DIRECTIONS` columns from `first` on. */
-static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *error, const double *error3,
-                                            const double largest_x, const double soon, const int first,
-                                            const double *relative)
+static FB_INLINE double fb_forward_error_of(const fb_stepper *stepper, const fb_forward *f, const double *error,
+                                            const double *error3, const double largest_x, const double soon,
+                                            const int first, const double *relative)
 {
-    const fb_forward *const f = run->forward;
-    const double *const rates_old = f->stages, *const rates = f->stages + run->method->n_stages * f->size;
+    const double *const rates_old = f->stages, *const rates = f->stages + stepper->tableau->n_stages * f->size;
     double sum[FB_FEW_DIRECTIONS] = {0.0}, sum3[FB_FEW_DIRECTIONS] = {0.0}, largest[FB_FEW_DIRECTIONS] = {0.0};
     double worst = 0.0;
-    for (int i = 0; i < run->n; ++i) {
+    for (int i = 0; i < stepper->n; ++i) {
         const double *const s = f->s + first + i * f->width;
         for (int j = 0; j < FB_FEW_DIRECTIONS; ++j)
             largest[j] = fb_max(fabs(s[j]), largest[j]);
     }
-    for (int i = 0; i < run->n; ++i) {
+    for (int i = 0; i < stepper->n; ++i) {
         const int row = first + i * f->width;
-        const double own = FB_FORWARD_SHARE * run->rtol[i];
+        const double own = FB_FORWARD_SHARE * stepper->rtol[i];
         const double rtol = own < FB_LEAST_FORWARD_RTOL  ? FB_LEAST_FORWARD_RTOL
                             : own > FB_MOST_FORWARD_RTOL ? FB_MOST_FORWARD_RTOL
                                                          : own;
-        const double atol = FB_FORWARD_ATOL * run->atol[i] + FB_FORWARD_NOISE * largest_x;
+        const double atol = FB_FORWARD_ATOL * stepper->atol[i] + FB_FORWARD_NOISE * largest_x;
         for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) {
             const double now = fabs(f->s[row + j]), before = fabs(f->s_old[row + j]);
             const double rate = fb_max(fabs(rates_old[row + j]), fabs(rates[row + j]));
@@ -281,46 +280,45 @@ static FB_INLINE double fb_forward_error_of(const fb_run *run, const double *err
         }
     }
     for (int j = 0; j < FB_FEW_DIRECTIONS; ++j) /* without those that are NaN */
-        worst = fmax(worst, fb_error_norm(run, run->h, sum[j], sum3[j]));
+        worst = fmax(worst, fb_error_norm(stepper->n, stepper->tableau->n_errors, stepper->h, sum[j], sum3[j]));
     return worst;
 }
 
 /* The error estimate of S in units of its tolerances, for the direction in which it is largest. Derivatives pass
  * through zero more often than states: each is compared with the largest value that it has had lately. */
-static FB_INLINE double fb_forward_error_with(fb_run *run, const double soon)
+static FB_INLINE double fb_forward_error_with(fb_stepper *stepper, fb_forward *f, const double soon)
 {
-    fb_forward *const f = run->forward;
-    const int two = run->method->n_errors == 2;
+    const int two = stepper->tableau->n_errors == 2;
     double *const error = f->scratch, *const error3 = f->interpolant;
     double largest_x = 0.0, worst = 0.0;
-    fb_combine_rows(f->stages, f->size, run->error, two ? 1.0 : run->h, NULL, error);
+    fb_combine_rows(f->stages, f->size, stepper->weights.error, two ? 1.0 : stepper->h, NULL, error);
     if (two)
-        fb_combine_rows(f->stages, f->size, run->error + 1, 1.0, NULL, error3);
-    for (int i = 0; i < run->n; ++i)
-        largest_x = fb_max(fabs(run->x[i]), largest_x);
+        fb_combine_rows(f->stages, f->size, stepper->weights.error + 1, 1.0, NULL, error3);
+    for (int i = 0; i < stepper->n; ++i)
+        largest_x = fb_max(fabs(stepper->x[i]), largest_x);
     for (int block = 0; block < f->n_blocks; ++block)
         for (int j = 0; j < f->width; j += FB_FEW_DIRECTIONS)
-            worst = fmax(worst, fb_forward_error_of(run, error, two ? error3 : error, largest_x, soon,
-                                                    block * run->n * f->width + j, f->relative + block * f->width + j));
+            worst =
+                fmax(worst, fb_forward_error_of(stepper, f, error, two ? error3 : error, largest_x, soon,
+                                                block * stepper->n * f->width + j, f->relative + block * f->width + j));
     return worst;
 }
 
-FB_AVX2_FUNCTION static inline double fb_forward_error_avx2(fb_run *run, const double soon)
+FB_AVX2_FUNCTION static inline double fb_forward_error_avx2(fb_stepper *stepper, fb_forward *f, const double soon)
 {
-    return fb_forward_error_with(run, soon);
+    return fb_forward_error_with(stepper, f, soon);
 }
 
-static inline double fb_forward_error(fb_run *run, const double soon)
+static inline double fb_forward_error(fb_stepper *stepper, fb_forward *f, const double soon)
 {
-    return run->forward->has_avx2 ? fb_forward_error_avx2(run, soon) : fb_forward_error_with(run, soon);
+    return f->has_avx2 ? fb_forward_error_avx2(stepper, f, soon) : fb_forward_error_with(stepper, f, soon);
 }
 
 /* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1.
  * Sizes are at least those of rates within `soon`; any error is accepted if that is infinite. */
-static inline int fb_forward_step(fb_run *run, const double soon, double *step_error)
+static inline int fb_forward_step(fb_stepper *stepper, fb_forward *f, const double soon, double *step_error)
 {
-    fb_forward *const f = run->forward;
-    const fb_tableau *const m = run->method;
+    const fb_tableau *const m = stepper->tableau;
     double *const end = f->stages + m->n_stages * f->size;
     int status = 0;
     double *const s_old = f->s;
@@ -330,23 +328,24 @@ static inline int fb_forward_step(fb_run *run, const double soon, double *step_e
     if (f->fsal)
         memcpy(f->stages, end, (size_t)f->size * sizeof *end);
     else
-        status = fb_forward_row(run, 0, 0, run->t_old, run->x_old, s_old);
+        status = fb_forward_row(stepper, f, 0, 0, stepper->t_old, stepper->x_old, s_old);
     for (int k = 1; k < m->n_stages && status == 0; ++k) {
         const int is_known = k < m->n_stages - 1;
         if (!is_known)
-            fb_combine(run, run->stage + k, run->h, run->x_old, run->kept[k].x);
-        fb_forward_combine(f, run->stage + k, run->h, s_old, f->s);
-        status = fb_forward_row(run, k, is_known, run->t_old + m->c[k] * run->h, run->kept[k].x, f->s);
+            fb_combine(stepper, stepper->weights.stage + k, stepper->h, stepper->x_old, stepper->kept[k].x);
+        fb_forward_combine(f, stepper->weights.stage + k, stepper->h, s_old, f->s);
+        status =
+            fb_forward_row(stepper, f, k, is_known, stepper->t_old + m->c[k] * stepper->h, stepper->kept[k].x, f->s);
     }
-    fb_forward_combine(f, run->stage + m->n_stages, run->h, s_old, f->s);
+    fb_forward_combine(f, stepper->weights.stage + m->n_stages, stepper->h, s_old, f->s);
     /* The last evaluation was that of x' at the end. */
-    if (status == 0 && run->project)
-        status = fb_forward_close(run, run->t, FB_LAST_RHS, run->x, f->s);
+    if (status == 0 && stepper->project)
+        status = fb_forward_close(stepper, f, stepper->t, FB_LAST_RHS, stepper->x, f->s);
     if (status == 0)
-        status = fb_forward_rates(run, m->n_stages, 1, run->t, run->x, f->s);
+        status = fb_forward_rates(stepper, f, m->n_stages, 1, stepper->t, stepper->x, f->s);
     if (status < 0)
         return status;
-    *step_error = isfinite(soon) ? fb_forward_error(run, soon) : 0.0;
+    *step_error = isfinite(soon) ? fb_forward_error(stepper, f, soon) : 0.0;
     f->fsal = !(*step_error >= 1.0);
     if (!f->fsal) {
         f->s_old = f->s;
@@ -359,21 +358,21 @@ static inline int fb_forward_step(fb_run *run, const double soon, double *step_e
     return status;
 }
 
-static inline int fb_forward_prepare_interpolant(fb_run *run)
+static inline int fb_forward_prepare_interpolant(fb_stepper *stepper, fb_forward *f)
 {
-    fb_forward *const f = run->forward;
-    const fb_tableau *const m = run->method;
-    int status = fb_prepare_interpolant(run);
+    const fb_tableau *const m = stepper->tableau;
+    int status = fb_prepare_interpolant(stepper);
     if (f->interpolant_valid || status < 0)
         return status;
     if (!m->hermite) {
         for (int i = 0; i < m->n_dense; ++i)
-            fb_forward_combine(f, run->dense + i, run->h, NULL, f->interpolant + i * f->size);
+            fb_forward_combine(f, stepper->weights.dense + i, stepper->h, NULL, f->interpolant + i * f->size);
     } else {
         for (int i = 0; i < m->n_extra; ++i) {
             const int row = m->n_stages + 1 + i;
-            fb_forward_combine(f, run->more + i, run->h, f->s_old, f->scratch);
-            status = fb_forward_row(run, row, 1, run->t_old + m->c_extra[i] * run->h, run->kept[row].x, f->scratch);
+            fb_forward_combine(f, stepper->weights.extra + i, stepper->h, f->s_old, f->scratch);
+            status = fb_forward_row(stepper, f, row, 1, stepper->t_old + m->c_extra[i] * stepper->h,
+                                    stepper->kept[row].x, f->scratch);
             if (status < 0)
                 return status;
         }
@@ -381,46 +380,48 @@ static inline int fb_forward_prepare_interpolant(fb_run *run)
         for (int i = 0; i < f->size; ++i) {
             const double change = f->s[i] - f->s_old[i];
             f->interpolant[i] = change;
-            f->interpolant[f->size + i] = run->h * k_old[i] - change;
-            f->interpolant[2 * f->size + i] = 2.0 * change - run->h * (k[i] + k_old[i]);
+            f->interpolant[f->size + i] = stepper->h * k_old[i] - change;
+            f->interpolant[2 * f->size + i] = 2.0 * change - stepper->h * (k[i] + k_old[i]);
         }
         for (int i = 0; i < m->n_dense; ++i)
-            fb_forward_combine(f, run->dense + i, run->h, NULL, f->interpolant + (3 + i) * f->size);
+            fb_forward_combine(f, stepper->weights.dense + i, stepper->h, NULL, f->interpolant + (3 + i) * f->size);
     }
     f->interpolant_valid = 1;
     return 0;
 }
 
 /* S at a time in the last step, at which the state is x; `last` as above. */
-static inline int fb_forward_at(fb_run *run, const double t, const enum FB_LAST last, const double *x, double *s)
+static inline int fb_forward_at(fb_stepper *stepper, fb_forward *f, const double t, const enum FB_LAST last,
+                                const double *x, double *s)
 {
-    fb_forward *const f = run->forward;
-    if (t == run->t || !f->fsal) {
+    if (t == stepper->t || !f->fsal) {
         memcpy(s, f->s, (size_t)f->size * sizeof *s);
         return 0;
     }
-    const int status = fb_forward_prepare_interpolant(run);
+    const int status = fb_forward_prepare_interpolant(stepper, f);
     if (status < 0)
         return status;
-    const double share = (t - run->t_old) / run->h;
+    const double share = (t - stepper->t_old) / stepper->h;
     if (f->has_avx2)
-        fb_interpolate_avx2(run->method, f->interpolant, f->size, f->size, f->s_old, share, s);
+        fb_interpolate_avx2(stepper->tableau, f->interpolant, f->size, f->size, f->s_old, share, s);
     else
-        fb_interpolate(run->method, f->interpolant, f->size, f->size, f->s_old, share, s);
-    return run->project ? fb_forward_close(run, t, last, x, s) : 0;
+        fb_interpolate(stepper->tableau, f->interpolant, f->size, f->size, f->s_old, share, s);
+    return stepper->project ? fb_forward_close(stepper, f, t, last, x, s) : 0;
 }
 
-static inline int fb_forward_sample(fb_run *run, const double t, const double *x)
+/* S for a sample. */
+static inline int fb_forward_sample(fb_stepper *stepper, fb_forward *f, const long sample, const double t,
+                                    const double *x)
 {
     /* Within a step, x was projected. */
-    return fb_forward_at(run, t, FB_LAST_PROJECT, x, run->forward->samples + run->n_samples * run->forward->size);
+    return fb_forward_at(stepper, f, t, FB_LAST_PROJECT, x, f->samples + sample * f->size);
 }
 
-/* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the run keep the
- * evaluations of its steps there; returns their number of doubles. */
-static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, double *memory)
+/* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the stepper keep
+ * the evaluations of its steps there; returns their number of doubles. */
+static inline size_t fb_place_forward(fb_stepper *stepper, const int n, fb_forward *f, double *memory)
 {
-    const fb_kernel *const k = run->problem->kernel;
+    const fb_kernel *const k = stepper->problem->kernel;
     f->width = n <= FB_FEW_DIRECTIONS ? FB_FEW_DIRECTIONS : FB_DIRECTIONS;
     f->n_blocks = (n + f->width - 1) / f->width;
     f->size = (f->n_blocks * k->n_x * f->width + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
@@ -434,17 +435,17 @@ static inline size_t fb_place_forward(fb_run *run, const int n, fb_forward *f, d
         {&f->s, size},
         {&f->s_old, size},
         {&f->scratch, size},
-        {&f->stages, (run->method->n_stages + 1 + run->method->n_extra) * size},
-        {&f->interpolant, (run->method->n_dense + 3) * size},
+        {&f->stages, (stepper->tableau->n_stages + 1 + stepper->tableau->n_extra) * size},
+        {&f->interpolant, (stepper->tableau->n_dense + 3) * size},
     };
     size_t length = fb_place_all(places, sizeof places / sizeof *places, memory);
     const int work_size = (int)((k->work_size + sizeof(double) - 1) / sizeof(double));
-    for (int row = 0; row <= run->method->n_stages + run->method->n_extra; ++row) {
+    for (int row = 0; row <= stepper->tableau->n_stages + stepper->tableau->n_extra; ++row) {
         fb_kept *const kept = f->kept + row;
-        const fb_place of_row[] = {{&kept->x, run->padded}, {&kept->inputs, k->n_r}, {&kept->work, work_size}};
+        const fb_place of_row[] = {{&kept->x, stepper->padded}, {&kept->inputs, k->n_r}, {&kept->work, work_size}};
         length += fb_place_all(of_row, sizeof of_row / sizeof *of_row, memory ? memory + length : NULL);
     }
-    run->kept = f->kept;
+    stepper->kept = f->kept;
     f->has_avx2 = fb_has_avx2();
     return length;
 }

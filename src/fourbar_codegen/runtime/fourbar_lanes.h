@@ -5,8 +5,8 @@
  */
 #include "fourbar_array.h"
 #include "fourbar_batch.h"
-#include "fourbar_integrate.h"
 #include "fourbar_kernel.h"
+#include "fourbar_run.h"
 #ifndef FB_SPARSE
 #include "fourbar_solve.h"
 #endif

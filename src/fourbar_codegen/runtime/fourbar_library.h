@@ -10,7 +10,7 @@
 #define FOURBAR_LIBRARY_H
 
 #include "fourbar_close.h"
-#include "fourbar_integrate.h"
+#include "fourbar_run.h"
 
 #define FB_JOINED(model, name) model##_##name
 #define FB_NAMED(model, name) FB_JOINED(model, name)
@@ -24,14 +24,15 @@
 #define next_change(begin, end) (end)
 #endif
 
-enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 32 };
+/* The rows of a run: states, stages, interpolant, and what it looks along. */
+enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 3 + FB_MAX_STAGES + FB_MAX_DENSE + 3 + 2 };
 
 /* What a mechanism needs between calls: the constants, the workspace of the equations, and the state and the stages of
  * a step. */
 typedef struct fb_own {
     double constants[FB_AT_LEAST_1(N_CONSTANTS)];
     double rows[N_ROWS * N_PADDED];
-    double rtol[N_PADDED], atol[N_PADDED];
+    double rtol[N_X], atol[N_X];
     double failed_x[N_X], moved_x[N_X];
     double inputs[FB_AT_LEAST_1(N_R)];
     fb_source sources[FB_AT_LEAST_1(N_R)];
@@ -40,7 +41,6 @@ typedef struct fb_own {
     fb_clock clock;                      /* the interval between two discontinuities in which an importer integrates */
     fb_problem problem;
     fb_run run;
-    int prepared; /* the order of the method whose weights the run has */
     fb_work work;
 } fb_own;
 
@@ -115,42 +115,31 @@ static fb_problem *problem_now(struct FB_MODEL *model, double *t)
     return problem;
 }
 
-/* The run at the present state, by a method of order 4 or 8. Its weights are prepared when the method changes. */
+/* The run at the present state, by a method of order 4 or 8. */
 static fb_run *run_of(struct FB_MODEL *model, const int order)
 {
     fb_own *const own = own_of(model);
     fb_run *const run = &own->run;
-    run->problem = problem_of(model);
-    run->method = order == 8 ? &fb_dop853 : &fb_rk4;
-    if (own->prepared != order)
-        fb_prepare_method(run);
-    own->prepared = order;
-    run->step = fb_step_on;
-    run->augmented = NULL;
-    run->n = N_X;
-    run->padded = N_PADDED;
-    run->project = N_C + N_I > 0;
-    run->rtol = own->rtol;
-    run->atol = own->atol;
-    run->x = own->rows;
-    run->x_old = own->rows + N_PADDED;
-    run->scratch = own->rows + 2 * N_PADDED;
-    run->along = own->rows + 3 * N_PADDED;
-    run->interpolant = own->rows + 5 * N_PADDED;
-    run->stages = own->rows + 12 * N_PADDED;
+    fb_stepper *const stepper = &run->stepper;
+    stepper->problem = problem_of(model);
+    stepper->project = N_C + N_I > 0;
+    run->watch.along =
+        own->rows + fb_place_stepper(stepper, &fb_runge_kutta, order == 8 ? &fb_dop853 : &fb_rk4, N_X, own->rows);
+    stepper->rtol = own->rtol;
+    stepper->atol = own->atol;
     own->work.largest_pivot = 0.0; /* no step was taken yet */
-    memset(run->x, 0, N_PADDED * sizeof *run->x);
-    memcpy(run->x, model->x, sizeof model->x);
-    run->t = run->t_begin = model->t;
-    run->n_steps = run->n_evaluations = 0;
-    run->fsal = run->interpolant_valid = run->collapsed = run->look_at_all = run->n_events = 0;
+    memset(stepper->x, 0, N_PADDED * sizeof *stepper->x);
+    memcpy(stepper->x, model->x, sizeof model->x);
+    stepper->t = run->pace.t_begin = model->t;
+    stepper->n_steps = stepper->n_evaluations = 0;
+    stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
     return run;
 }
 
 /* Takes over the state that a run has reached. */
 static void reach(struct FB_MODEL *model, const fb_run *run, const double t)
 {
-    memcpy(model->x, run->x, sizeof model->x);
+    memcpy(model->x, run->stepper.x, sizeof model->x);
     model->t = t;
 }
 
@@ -370,13 +359,14 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     fb_run *const run = run_of(model, order == 8 ? 8 : 4);
     if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
         return FB_INVALID_ARGUMENT;
-    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->problem, model->t, model->t + h))
+    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->stepper.problem, model->t, model->t + h))
         return FB_SPEEDS_JUMP;
     const double t_end = model->t + h;
+    fb_stepper *const stepper = &run->stepper;
     int status = FB_OK;
-    for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES && status == FB_OK && run->t != t_end; ++piece) {
-        const double until = begin_piece(run->problem, run->t, t_end);
-        status = fb_step_to(run, piece == 0 && until == t_end ? h : until - run->t, until);
+    for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES && status == FB_OK && stepper->t != t_end; ++piece) {
+        const double until = begin_piece(stepper->problem, stepper->t, t_end);
+        status = fb_fixed_step(stepper, piece == 0 && until == t_end ? h : until - stepper->t, until);
     }
     if (status == FB_OK)
         reach(model, run, t_end);
@@ -387,17 +377,19 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
  * states, those near the least of them looked at more closely. */
 static int passes_singular_position(fb_run *run, const double typical)
 {
-    double low = run->t_old, high = run->t, least = INFINITY;
+    fb_stepper *const stepper = &run->stepper;
+    fb_problem *const problem = stepper->problem;
+    double *const along = run->watch.along;
+    double low = stepper->t_old, high = stepper->t, least = INFINITY;
     for (int turn = 0; turn < 5; ++turn) {
         const double part = (high - low) / 32.0, begin = low;
         double smallest = INFINITY;
         for (int i = 1; i < 32; ++i) {
             const double t = begin + i * part;
-            if (fb_state_at(run, t, run->along) < 0)
+            if (fb_state_at(stepper, t, along) < 0)
                 return 0;
-            fb_fill_inputs(run->problem, t, run->along);
-            const double pivot =
-                fb_least_pivot(t, run->along, run->problem->constants, run->problem->inputs, run->problem->work);
+            fb_fill_inputs(problem, t, along);
+            const double pivot = fb_least_pivot(t, along, problem->constants, problem->inputs, problem->work);
             if (pivot < smallest) {
                 smallest = pivot;
                 low = t - part;
@@ -411,9 +403,10 @@ static int passes_singular_position(fb_run *run, const double typical)
 
 static double least_pivot_of(const fb_run *run)
 {
+    const fb_problem *const problem = run->stepper.problem;
     if (N_RANK == 0)
         return 1.0;
-    return fb_least_pivot(run->t, run->x, run->problem->constants, run->problem->inputs, run->problem->work);
+    return fb_least_pivot(run->stepper.t, run->stepper.x, problem->constants, problem->inputs, problem->work);
 }
 
 int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
@@ -422,6 +415,8 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
     fb_own *const own = own_of(model);
     own->clock = fb_all_time;
     fb_run *const run = run_of(model, 8);
+    fb_stepper *const stepper = &run->stepper;
+    fb_samples *const samples = &run->samples;
     const double begin = model->t;
     double unused, here = begin;
     if (!isfinite(begin) || !isfinite(t_end) || !(rtol > 0.0) || !(atol > 0.0))
@@ -432,67 +427,65 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
         if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
             (i > 0 && (times[i] - times[i - 1]) * (t_end - begin) < 0.0))
             return FB_INVALID_ARGUMENT;
-    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->problem, begin, t_end))
+    if (N_MOTION_BREAKPOINTS > 0 && jumps_between(stepper->problem, begin, t_end))
         return FB_SPEEDS_JUMP;
-    for (int i = 0; i < N_PADDED; ++i) {
-        own->rtol[i] = i < N_X ? rtol : 1.0;
-        own->atol[i] = i < N_X ? atol : 1.0;
+    for (int i = 0; i < N_X; ++i) {
+        own->rtol[i] = rtol;
+        own->atol[i] = atol;
     }
     run->direction = t_end >= begin ? 1.0 : -1.0;
     run->max_step = INFINITY;
-    run->times = times;
-    run->n_times = times ? n_times : 0;
-    run->next_time = run->n_samples = 0;
-    run->sample_t = &unused;
-    run->sample_x = states;
-    run->room = 1;
-    if (times == NULL)
-        run->times = &unused;
-    int status = run->project ? fb_problem_project(run->problem, begin, run->x, 0) : FB_OK;
+    samples->times = times ? times : &unused;
+    samples->n_times = times ? n_times : 0;
+    samples->next_time = samples->n = 0;
+    samples->t = &unused;
+    samples->x = states;
+    samples->room = 1;
+    int status = stepper->project ? fb_problem_project(stepper->problem, begin, stepper->x, 0) : FB_OK;
     if (status != FB_OK)
         return status;
     long counted = 0;
     double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
     for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES; ++piece) {
-        const double until = begin_piece(run->problem, here, t_end);
-        run->t_bound = run->until = until;
-        run->pending = piece == 0;
+        const double until = begin_piece(stepper->problem, here, t_end);
+        run->t_bound = samples->until = until;
+        samples->pending = piece == 0;
         if (piece == 0) {
             fb_begin(run);
             typical = least_pivot_of(run);
         } else
-            fb_resume(run);
+            fb_resume(stepper);
         for (;;) {
             const int reason = fb_run_on(run, 1);
             if (reason == FB_RUN_EVENT && passes_singular_position(run, typical)) {
-                memcpy(run->x, run->x_old, sizeof model->x);
-                reach(model, run, run->t_old);
+                memcpy(stepper->x, stepper->x_old, sizeof model->x);
+                reach(model, run, stepper->t_old);
                 return FB_SINGULAR_POSITION;
             }
-            if (run->n_steps > counted) {
-                counted = run->n_steps;
-                sum += fabs(run->h) * log(least_pivot_of(run));
-                typical = exp(sum / fabs(run->t - begin));
+            if (stepper->n_steps > counted) {
+                counted = stepper->n_steps;
+                sum += fabs(stepper->h) * log(least_pivot_of(run));
+                typical = exp(sum / fabs(stepper->t - begin));
             }
             if (reason == FB_RUN_END)
                 break;
             if (reason == FB_RUN_FULL) {
-                run->sample_x += N_X;
-                run->n_samples = 0;
+                samples->x += N_X;
+                samples->n = 0;
                 continue;
             }
-            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && run->n_steps < FB_MAX_RUN_STEPS)
+            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && stepper->n_steps < FB_MAX_RUN_STEPS)
                 continue;
-            if (run->pending) { /* to where the last samples were taken */
-                memcpy(run->x, run->x_old, sizeof model->x);
-                run->t = run->t_old;
+            if (samples->pending) { /* to where the last samples were taken */
+                memcpy(stepper->x, stepper->x_old, sizeof model->x);
+                stepper->t = stepper->t_old;
             }
-            reach(model, run, run->t);
+            reach(model, run, stepper->t);
             if (least_pivot_of(run) < FB_FAILED_RATIO * typical)
                 return FB_SINGULAR_POSITION;
-            return run->problem->status != FB_OK      ? run->problem->status
-                   : run->n_steps >= FB_MAX_RUN_STEPS ? FB_TOO_MANY_STEPS
-                                                      : FB_STEP_TOO_SMALL;
+            return stepper->problem->status != FB_OK      ? stepper->problem->status
+                   : stepper->n_steps >= FB_MAX_RUN_STEPS ? FB_TOO_MANY_STEPS
+                                                          : FB_STEP_TOO_SMALL;
         }
         here = until;
         if (until == t_end)

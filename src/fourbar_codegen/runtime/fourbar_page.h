@@ -15,7 +15,7 @@
 #define FB_EXPORT(name) __attribute__((export_name(#name))) name
 
 #include "fourbar_close.h"
-#include "fourbar_integrate.h"
+#include "fourbar_run.h"
 
 /* An input as a function of time, or a derivative of one, with coefficients a, b, c, d. */
 enum FB_SIGNAL {
@@ -154,12 +154,12 @@ double FB_EXPORT(time_reached)(void)
 /* Of the last run: evaluations of the equations of motion, and states that were stored. */
 long FB_EXPORT(evaluations_of_run)(void)
 {
-    return own_of(&mechanism)->run.n_evaluations;
+    return own_of(&mechanism)->run.stepper.n_evaluations;
 }
 
 long FB_EXPORT(states_stored)(void)
 {
-    return own_of(&mechanism)->run.next_time;
+    return own_of(&mechanism)->run.samples.next_time;
 }
 
 const char *FB_EXPORT(message)(const int status)
@@ -226,7 +226,8 @@ int FB_EXPORT(simulate)(const double begin, const double end, const double rtol,
                         const long n, double *states)
 {
     mechanism.t = begin;
-    own_of(&mechanism)->run.next_time = own_of(&mechanism)->run.n_evaluations = 0; /* if it does not begin */
+    own_of(&mechanism)->run.samples.next_time = own_of(&mechanism)->run.stepper.n_evaluations =
+        0; /* if it does not begin */
     return FB_PUBLIC(simulate)(&mechanism, end, rtol, atol, times, n, states);
 }
 

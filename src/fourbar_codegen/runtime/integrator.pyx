@@ -20,9 +20,82 @@ from fourbar_codegen.roles import StopReason
 
 cnp.import_array()
 
+cdef extern from "fourbar_stepper.h":
+    int FB_BLOCK, FB_MAX_STAGES
+    ctypedef struct fb_method:
+        pass
+    ctypedef struct fb_stepper:
+        fb_problem *problem
+        const fb_tableau *tableau
+        fb_augmented *augmented
+        int n, padded, project
+        const double *rtol
+        const double *atol
+        double t, t_old, h
+        double *x
+        double *x_old
+        double *stages
+        double *interpolant
+        int fsal
+        long n_evaluations, n_steps
+    int fb_padded(int) noexcept nogil
+    size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
+    int fb_resume(fb_stepper *) noexcept nogil
+    int fb_project_sample(fb_problem *, double, double *) noexcept nogil
+    int fb_state_at(fb_stepper *, double, double *) noexcept nogil
+    int fb_prepare_interpolant(fb_stepper *) noexcept nogil
+    void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
+
+cdef extern from "fourbar_runge_kutta.h":
+    const fb_method fb_runge_kutta
+    double fb_fixed_time(double, double, long) noexcept nogil
+    int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
+
 cdef extern from "fourbar_augmented.h":
+    const fb_method fb_augmented_lagrangian
     ctypedef struct fb_augmented:
         long n_jacobians, n_factorizations
+    size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
+
+cdef extern from "fourbar_run.h":
+    ctypedef struct fb_samples:
+        const double *times
+        long n_times
+        double *t
+        double *x
+        long room, n
+        int pending
+        double until
+    ctypedef struct fb_watch:
+        int n_events
+        const int *output
+        const int *direction
+        double *value
+        double *old
+        double *outputs
+        double *along
+        int look_at_all, toggled
+    ctypedef struct fb_record:
+        long n, room
+        double *rows
+        long *sample_row
+        double *sample_t
+    ctypedef struct fb_observer:
+        fb_forward *forward
+        int (*after_step)(fb_stepper *, fb_forward *, double, double *) noexcept nogil
+        int (*at_sample)(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
+    ctypedef struct fb_run:
+        fb_stepper stepper
+        double direction, t_bound, max_step, h_abs
+        fb_samples samples
+        fb_watch watch
+        fb_observer observer
+        fb_record *record
+    int fb_begin(fb_run *) noexcept nogil
+    int fb_step(fb_run *) noexcept nogil
+    int fb_run_on(fb_run *, long) noexcept nogil
+    void fb_keep_step(fb_run *, double) noexcept nogil
+    int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
 
 cdef extern from "fourbar_velocity_jump.h":
     ctypedef struct fb_velocity_jump:
@@ -42,73 +115,13 @@ cdef extern from "fourbar_forward.h":
         double *s
         double *s_old
         double *samples
-    int fb_forward_step(fb_run *, double, double *) noexcept nogil
-    int fb_forward_sample(fb_run *, double, const double *) noexcept nogil
-    int fb_forward_at(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
-    int fb_forward_close(fb_run *, double, FB_LAST, const double *, double *) noexcept nogil
-    int fb_forward_jump(fb_run *, fb_velocity_jump *, const double *, double *) noexcept nogil
-    int fb_forward_prepare_interpolant(fb_run *) noexcept nogil
-    size_t fb_place_forward(fb_run *, int, fb_forward *, double *) noexcept nogil
-
-cdef extern from "fourbar_integrate.h":
-    int FB_BLOCK
-    ctypedef struct fb_steps:
-        long n, room
-        double *rows
-        long *sample_row
-        double *sample_t
-    ctypedef struct fb_run:
-        fb_problem *problem
-        const fb_tableau *method
-        int (*step)(fb_run *) noexcept nogil
-        fb_augmented *augmented
-        fb_forward *forward
-        int (*step_jvp)(fb_run *, double, double *) noexcept nogil
-        int (*sample_jvp)(fb_run *, double, const double *) noexcept nogil
-        fb_steps *steps
-        int n, padded
-        double direction, t_bound, max_step
-        const double *rtol
-        const double *atol
-        int project
-        double t, t_old, h, h_abs
-        double *x
-        double *x_old
-        double *scratch
-        double *along
-        double *stages
-        double *interpolant
-        long n_evaluations, n_steps
-        const double *times
-        long n_times, next_time
-        double *sample_t
-        double *sample_x
-        long room, n_samples
-        int pending
-        double until, t_begin
-        int toggled, fsal
-        int look_at_all
-        int n_events
-        const int *event_output
-        const int *event_direction
-        double *event_value
-        double *event_old
-        double *outputs
-    void fb_prepare_method(fb_run *) noexcept nogil
-    int fb_begin(fb_run *) noexcept nogil
-    int fb_resume(fb_run *) noexcept nogil
-    int fb_step_on(fb_run *) noexcept nogil
-    double fb_fixed_time(const fb_run *, double, long) noexcept nogil
-    int fb_step_to(fb_run *, double, double) noexcept nogil
-    int fb_fixed_step(fb_run *, double) noexcept nogil
-    int fb_run_on(fb_run *, long) noexcept nogil
-    void fb_keep_step(fb_run *, double) noexcept nogil
-    int fb_project_sample(fb_problem *, double, double *) noexcept nogil
-    int fb_state_at(fb_run *, double, double *) noexcept nogil
-    int fb_prepare_interpolant(fb_run *) noexcept nogil
-    void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
-    int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
-
+    int fb_forward_step(fb_stepper *, fb_forward *, double, double *) noexcept nogil
+    int fb_forward_sample(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
+    int fb_forward_at(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
+    int fb_forward_close(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
+    int fb_forward_jump(fb_stepper *, fb_forward *, fb_velocity_jump *, const double *, double *) noexcept nogil
+    int fb_forward_prepare_interpolant(fb_stepper *, fb_forward *) noexcept nogil
+    size_t fb_place_forward(fb_stepper *, int, fb_forward *, double *) noexcept nogil
 
 cdef extern from "fourbar_adjoint.h":
     ctypedef struct fb_adjoint:
@@ -122,14 +135,8 @@ cdef extern from "fourbar_adjoint.h":
         double *wrt_state
         double *wrt_parameters
         double **wrt_source
-    int fb_step_vjp(fb_run *, fb_adjoint *, long, long *) noexcept nogil
-    size_t fb_place_adjoint(const fb_run *, fb_adjoint *, double *) noexcept nogil
-
-
-cdef extern from "fourbar_augmented.h":
-    size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
-    int fb_augmented_begin(fb_run *) noexcept nogil
-    int fb_augmented_step_on(fb_run *) noexcept nogil
+    int fb_step_vjp(fb_stepper *, fb_adjoint *, long, long *) noexcept nogil
+    size_t fb_place_adjoint(const fb_stepper *, fb_adjoint *, double *) noexcept nogil
 
 
 def check_within(times, begin, end):
@@ -502,23 +509,24 @@ cdef class EmbeddedSteps:
     def __cinit__(self, Ode ode not None, tableau, error, double error_exponent, double t_bound, double direction,
                   double max_step, rtol, atol):
         cdef fb_run *run = &self.run
+        cdef fb_stepper *stepper = &run.stepper
+        cdef int n = ode.evaluator.n_x
+        cdef double *tolerances
         self.ode, self.kept = ode, [np.array(part, dtype=np.float64, order="C") for part in (*tableau, error)]
         a, b, c, errors = self.kept
         n_stages = np.size(b)
         if (np.shape(a) != (n_stages, n_stages) or np.shape(c) != (n_stages,)
                 or np.shape(errors) not in {(n_stages + 1,), (2, n_stages + 1)}):
             raise ModelError("The shapes of a Runge-Kutta method's coefficients do not agree.")
+        if not 0 < n_stages < FB_MAX_STAGES:
+            raise ModelError(f"A Runge-Kutta method has 1 to {FB_MAX_STAGES - 1} stages, not {n_stages}.")
         self.tableau = fb_tableau(
             n_stages=n_stages, a=data(a), b=data(b), c=data(c), n_errors=np.ndim(errors), error=data(errors),
             order=-1.0 / error_exponent - 1.0, n_extra=0, hermite=0, n_dense=0)
-        _prepare(run, ode, &self.tableau)
-        run.direction, run.t_bound, run.max_step, run.project = direction, t_bound, max_step, ode.projects
-        self.kept.append(_zeros(n_stages + 8, run.padded))
-        run.x = data(self.kept[4])
-        run.x_old, run.scratch, run.interpolant = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
-        run.rtol, run.atol = (
-            _fill_padded(run.x + 5 * run.padded, rtol, run), _fill_padded(run.x + 6 * run.padded, atol, run))
-        run.stages = run.x + 7 * run.padded
+        self.kept.append(_place(stepper, ode, &fb_runge_kutta, &self.tableau, 2 * n, &tolerances))
+        stepper.project = ode.projects
+        stepper.rtol, stepper.atol = _fill(tolerances, rtol, n), _fill(tolerances + n, atol, n)
+        run.direction, run.t_bound, run.max_step = direction, t_bound, max_step
 
     def step(self, double t, double h_abs, x, cnp.ndarray stages not None):
         """One accepted step.
@@ -541,24 +549,25 @@ cdef class EmbeddedSteps:
             ``PAUSED`` after an accepted step; otherwise what is wrong with its length.
         """
         cdef fb_run *run = &self.run
-        cdef cnp.ndarray state = vector(x, run.n, "The state x")
+        cdef fb_stepper *stepper = &run.stepper
+        cdef cnp.ndarray state = vector(x, stepper.n, "The state x")
         cdef int k, status, n_stages = self.tableau.n_stages
         if (cnp.PyArray_NDIM(stages) != 2 or cnp.PyArray_TYPE(stages) != cnp.NPY_DOUBLE
                 or not cnp.PyArray_ISCARRAY(stages) or cnp.PyArray_DIM(stages, 0) != n_stages + 1
-                or cnp.PyArray_DIM(stages, 1) != run.n):
+                or cnp.PyArray_DIM(stages, 1) != stepper.n):
             raise ModelError(f"The stages must be a contiguous array of {n_stages + 1} states.")
         _enter(&self.busy)
-        run.t, run.h_abs, run.n_evaluations, run.n_steps, run.fsal = t, h_abs, 0, 0, 0
-        memcpy(run.x, data(state), run.n * sizeof(double))
-        memcpy(run.stages, data(stages), run.n * sizeof(double))
+        run.h_abs = h_abs
+        stepper.t, stepper.n_evaluations, stepper.n_steps, stepper.fsal = t, 0, 0, 0
+        memcpy(stepper.x, data(state), stepper.n * sizeof(double))
+        memcpy(stepper.stages, data(stages), stepper.n * sizeof(double))
         with nogil:
-            status = fb_step_on(run)
+            status = fb_step(run)
         self.busy = False
         self.ode.check(status)
         for k in range(n_stages + 1):
-            memcpy(data(stages) + k * run.n, run.stages + k * run.padded, run.n * sizeof(double))
-        return (run.t, run.h, run.h_abs, _state_of(run), run.n_evaluations,
-                _REASONS[status])
+            memcpy(data(stages) + k * stepper.n, stepper.stages + k * stepper.padded, stepper.n * sizeof(double))
+        return (stepper.t, stepper.h, run.h_abs, _state_of(stepper), stepper.n_evaluations, _REASONS[status])
 
 
 cdef int _enter(bint *busy) except -1:
@@ -571,17 +580,16 @@ cdef int _enter(bint *busy) except -1:
     return 0
 
 
-cdef int _prepare(fb_run *run, Ode ode, const fb_tableau *method) except -1:
-    """Set a run's problem, size and method."""
-    run.problem, run.method, run.n = &ode.problem, method, ode.evaluator.n_x
-    run.padded = _padded_size(run.n)
-    fb_prepare_method(run)
-    return 0
-
-
-cdef int _padded_size(int n):
-    """The length of n states padded to whole blocks."""
-    return (n + FB_BLOCK - 1) // FB_BLOCK * FB_BLOCK
+cdef cnp.ndarray _place(fb_stepper *stepper, Ode ode, const fb_method *method, const fb_tableau *tableau, int more,
+                        double **rest):
+    """Set a stepper's problem, method and memory; the latter is returned, with more doubles at its end."""
+    cdef int n = ode.evaluator.n_x
+    cdef cnp.npy_intp[1] size = [fb_place_stepper(stepper, method, tableau, n, NULL)]
+    size[0] += more
+    cdef cnp.ndarray memory = cnp.PyArray_ZEROS(1, size, cnp.NPY_DOUBLE, 0)
+    stepper.problem = &ode.problem
+    rest[0] = data(memory) + fb_place_stepper(stepper, method, tableau, n, data(memory))
+    return memory
 
 
 cdef const fb_tableau *tableau_of(str method) except NULL:
@@ -595,45 +603,40 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
     raise ValueError(f"no method in C: {method}")
 
 
-cdef const double *_fill_padded(double *padded, values, const fb_run *run) except NULL:
-    """Tolerances, padded with ones (states are padded with zeros)."""
+cdef const double *_fill(double *to, values, int n) except NULL:
+    """Tolerances for n states, from a number or n numbers."""
     cdef cnp.ndarray given
     cdef int i, step
     cdef double one
     if type(values) is float:
         one = values
-        for i in range(run.padded):
-            padded[i] = one if i < run.n else 1.0
-        return padded
+        for i in range(n):
+            to[i] = one
+        return to
     given = numbers(values, "A tolerance")
     step = cnp.PyArray_SIZE(given) != 1
-    if step and cnp.PyArray_SIZE(given) != run.n:
-        raise ModelError(f"A tolerance is a number or {run.n} numbers, not {cnp.PyArray_SIZE(given)}.")
-    for i in range(run.padded):
-        padded[i] = data(given)[i * step] if i < run.n else 1.0
-    return padded
+    if step and cnp.PyArray_SIZE(given) != n:
+        raise ModelError(f"A tolerance is a number or {n} numbers, not {cnp.PyArray_SIZE(given)}.")
+    for i in range(n):
+        to[i] = data(given)[i * step]
+    return to
 
 
-cdef cnp.ndarray _zeros(int n, int m):
-    cdef cnp.npy_intp[2] shape = [n, m]
-    return cnp.PyArray_ZEROS(2, shape, cnp.NPY_DOUBLE, 0)
-
-
-cdef cnp.ndarray _state_of(const fb_run *run):
+cdef cnp.ndarray _state_of(const fb_stepper *stepper):
     """A copy of the state reached."""
-    cdef cnp.ndarray x = new_array(run.n)
-    memcpy(data(x), run.x, run.n * sizeof(double))
+    cdef cnp.ndarray x = new_array(stepper.n)
+    memcpy(data(x), stepper.x, stepper.n * sizeof(double))
     return x
 
 
-cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions, list kept) except -1:
-    """Set a run's derivatives, at its beginning; `kept` holds their memory."""
+cdef int _prepare_forward(fb_stepper *stepper, fb_forward *forward, Ode ode, directions, list kept) except -1:
+    """Set the derivatives of steps, at the beginning; `kept` holds their memory."""
     cdef const fb_kernel *kernel = ode.evaluator.kernel
     cdef int n_x = kernel.n_x, n_p = kernel.n_p, n = np.shape(directions.matrix)[1]
-    cdef cnp.ndarray memory = np.zeros(fb_place_forward(run, n, forward, NULL)), first, changes
+    cdef cnp.ndarray memory = np.zeros(fb_place_forward(stepper, n, forward, NULL)), first, changes
     cdef cnp.ndarray places = np.zeros(kernel.n_r + 1, dtype=np.uintp)
     cdef int width = forward.width
-    fb_place_forward(run, n, forward, data(memory))
+    fb_place_forward(stepper, n, forward, data(memory))
     ode.evaluator.function(FB_CONSTRAINT_JVP)
     padded = np.zeros((forward.n_blocks, n_x + n_p + kernel.n_r, width))
     for block in range(forward.n_blocks):
@@ -652,7 +655,6 @@ cdef int _prepare_forward(fb_run *run, fb_forward *forward, Ode ode, directions,
             kept.append(changes)
     forward.source_changes = <const double **>cnp.PyArray_DATA(places)
     _fill_relative_changes(forward, ode, directions)
-    run.forward = forward
     return 0
 
 
@@ -708,7 +710,7 @@ _REASONS = tuple(StopReason)
 
 @cython.final
 cdef class Run:
-    """A run of a method in C, without Python between its steps: see ``fourbar_integrate.h``.
+    """A run of a method in C, without Python between its steps: see ``fourbar_run.h``.
 
     Parameters
     ----------
@@ -748,7 +750,7 @@ cdef class Run:
     cdef object directions
     cdef cnp.ndarray kept_s
     cdef list varied
-    cdef fb_steps steps
+    cdef fb_record steps
     cdef cnp.ndarray kept_rows
     cdef cnp.ndarray kept_places
     cdef cnp.ndarray kept_since
@@ -759,65 +761,70 @@ cdef class Run:
 
     def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
-        cdef int n = ode.evaluator.n_x, n_stages, n_dense
+        cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_run *run = &self.run
+        cdef fb_stepper *stepper = &run.stepper
+        cdef fb_watch *watch = &run.watch
         cdef double *memory
-        _prepare(run, ode, tableau_of(method))
-        run.step = fb_step_on
-        n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
+        cdef const fb_method *steps = &fb_augmented_lagrangian if method == "ALI3P" else &fb_runge_kutta
         self.ode, self.method, self.kept = ode, method, []
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
+        self.kept.append(_place(stepper, ode, steps, tableau_of(method), 2 * fb_padded(n) + 2 * n, &memory))
+        stepper.project = project
+        stepper.rtol, stepper.atol = _fill(memory, rtol, n), _fill(memory + n, atol, n)
+        watch.along = memory + 2 * n
+        memcpy(stepper.x, data(state), n * sizeof(double))
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
-        run.project, run.until = project, run.t_bound
-        run.x = <double *>self._keep(_zeros(7 + n_stages + n_dense, run.padded))
-        run.x_old, run.scratch, run.along = run.x + run.padded, run.x + 2 * run.padded, run.x + 3 * run.padded
-        run.stages, run.interpolant = run.along + 2 * run.padded, run.along + (2 + n_stages) * run.padded
-        memory = run.interpolant + n_dense * run.padded
-        run.rtol, run.atol = _fill_padded(memory, rtol, run), _fill_padded(memory + run.padded, atol, run)
-        memcpy(run.x, data(state), n * sizeof(double))
+        run.samples.until = run.t_bound
         if times is not None:
-            run.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
-            run.n_times = np.size(times)
-        run.n_events, run.look_at_all = len(events), look_at_all
+            run.samples.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
+            run.samples.n_times = np.size(times)
+        watch.n_events, watch.look_at_all = len(events), look_at_all
         if events:
-            run.event_output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
-            run.event_direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
-            run.event_value = <double *>self._keep(np.zeros(run.n_events))
-            run.event_old = <double *>self._keep(np.zeros(run.n_events))
-            run.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
+            watch.output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
+            watch.direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
+            watch.value = <double *>self._keep(np.zeros(watch.n_events))
+            watch.old = <double *>self._keep(np.zeros(watch.n_events))
+            watch.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
         if method == "ALI3P":
             ode.evaluator.function(FB_STATE_PARTIALS)
-            run.step, run.augmented = fb_augmented_step_on, &self.augmented
+            stepper.augmented = &self.augmented
             matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
-        self._make_room(run.n_times if times is not None else 256)
+        self._make_room(run.samples.n_times if times is not None else 256)
 
     def differentiate_along(self, directions):
         """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
         not kept: they only make the steps short enough for derivatives."""
-        _prepare_forward(&self.run, &self.forward, self.ode, directions, self.kept)
-        self.run.step_jvp = fb_forward_step
+        _prepare_forward(&self.run.stepper, &self.forward, self.ode, directions, self.kept)
+        self.run.observer.forward, self.run.observer.after_step = &self.forward, fb_forward_step
         if directions.places:
-            self.directions, self.varied, self.run.sample_jvp = directions, [], fb_forward_sample
-        if self.run.project:
-            self.ode.check(fb_forward_close(&self.run, self.run.t, FB_LAST_ANY, self.run.x, self.forward.s))
-        self._make_room(self.run.room)
+            self.directions, self.varied, self.run.observer.at_sample = directions, [], fb_forward_sample
+        if self.run.stepper.project:
+            self._close_derivatives()
+        self._make_room(self.run.samples.room)
+
+    cdef int _close_derivatives(self) except -1:
+        """Move the derivatives onto the tangent of the constraints, at the state reached."""
+        cdef fb_stepper *stepper = &self.run.stepper
+        self.ode.check(fb_forward_close(stepper, &self.forward, stepper.t, FB_LAST_ANY, stepper.x, self.forward.s))
+        return 0
 
     def keep_steps(self):
         """Also keep the steps, for `Steps`, before `begin`."""
-        self.run.steps, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY, 0.0, 0.0)]
-        self.kept_rows = new_array(256, 2 + self.run.n)
+        self.run.record, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY, 0.0, 0.0)]
+        self.kept_rows = new_array(256, 2 + self.run.stepper.n)
         self.steps.rows, self.steps.room = data(self.kept_rows), 256
-        self._make_room(self.run.room)
+        self._make_room(self.run.samples.room)
         fb_keep_step(&self.run, 0.0)
 
     cdef int _make_room_for_steps(self) except -1:
         cdef cnp.ndarray larger
         if self.steps.n == self.steps.room:
-            larger = new_array(2 * self.steps.room, 2 + self.run.n)
-            memcpy(data(larger), self.steps.rows, self.steps.n * (2 + self.run.n) * sizeof(double))
+            larger = new_array(2 * self.steps.room, 2 + self.run.stepper.n)
+            memcpy(data(larger), self.steps.rows, self.steps.n * (2 + self.run.stepper.n) * sizeof(double))
             self.kept_rows = larger
             self.steps.rows, self.steps.room = data(larger), 2 * self.steps.room
         return 0
@@ -825,14 +832,14 @@ cdef class Run:
     def steps_kept(self, t):
         """The steps, and the samples up to the number of their absolute times."""
         places, times = (np.concatenate(parts)[:len(t)] for parts in zip(*self.places))
-        return Steps(self.ode, self.method, bool(self.run.project), self.origin,
+        return Steps(self.ode, self.method, bool(self.run.stepper.project), self.origin,
                      self.kept_rows[:self.steps.n].copy(), places, times, t, self.clocks)
 
     @property
     def sensitivities(self):
         """The derivatives at all samples taken, shape (n, n_x, n_t)."""
         samples = self.varied[0] if len(self.varied) == 1 else np.concatenate(self.varied)
-        return _by_directions(samples, &self.forward, self.run.n, self.directions)
+        return _by_directions(samples, &self.forward, self.run.stepper.n, self.directions)
 
     cdef void *_keep(self, cnp.ndarray array):
         self.kept.append(array)
@@ -840,36 +847,36 @@ cdef class Run:
 
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
-        cdef long i, n = self.run.n_samples
+        cdef long i, n = self.run.samples.n
         cdef cnp.ndarray times, states
         if self.times is None:
             times = new_array(n)
             for i in range(n):
-                data(times)[i] = self._at(self.run.sample_t[i])
+                data(times)[i] = self._at(self.run.samples.t[i])
         else:
             times = self.times[self.n_taken:self.n_taken + n].copy()
         self.n_taken += n
-        states = new_array(n, self.run.n)
-        memcpy(data(states), self.run.sample_x, n * self.run.n * sizeof(double))
+        states = new_array(n, self.run.stepper.n)
+        memcpy(data(states), self.run.samples.x, n * self.run.stepper.n * sizeof(double))
         samples = (times, states)
         is_last = self.times is not None and self.n_taken == len(self.times)
-        if self.run.sample_jvp:
+        if self.run.observer.at_sample:
             self.varied.append(self.kept_s[:n] if is_last else self.kept_s[:n].copy())
-        if self.run.steps:
+        if self.run.record:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
             self._make_room_for_steps()
-        if n == self.run.room and not is_last:
+        if n == self.run.samples.room and not is_last:
             self._make_room(2 * n)
-        self.run.n_samples = 0
+        self.run.samples.n = 0
         return samples
 
     cdef int _make_room(self, long room) except -1:
-        self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.n)
-        self.run.sample_t, self.run.sample_x, self.run.room = data(self.kept_t), data(self.kept_x), room
-        if self.run.sample_jvp:
+        self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.stepper.n)
+        self.run.samples.t, self.run.samples.x, self.run.samples.room = data(self.kept_t), data(self.kept_x), room
+        if self.run.observer.at_sample:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
-        if self.run.steps:
+        if self.run.record:
             self.kept_places, self.kept_since = np.empty(room, dtype="l"), new_array(room)
             self.steps.sample_row = <long *>cnp.PyArray_DATA(self.kept_places)
             self.steps.sample_t = data(self.kept_since)
@@ -877,10 +884,10 @@ cdef class Run:
 
     def begin(self):
         """Choose the first step."""
-        self.run.pending = 1
-        self.ode.check(fb_augmented_begin(&self.run) if self.run.augmented else fb_begin(&self.run))
-        if self.run.n_events:
-            self.ode.check(fb_event_values(&self.run, self.run.t, self.run.x, self.run.event_value))
+        self.run.samples.pending = 1
+        self.ode.check(fb_begin(&self.run))
+        if self.run.watch.n_events:
+            self.ode.check(fb_event_values(&self.run, self.run.stepper.t, self.run.stepper.x, self.run.watch.value))
 
     def enter(self, double t, double t_bound, double first, double last, x=None):
         """Continue from one boundary to the next, from the present state or from x.
@@ -889,41 +896,44 @@ cdef class Run:
         nearby satisfies the constraints.
         """
         cdef fb_run *run = &self.run
+        cdef fb_stepper *stepper = &run.stepper
         cdef cnp.ndarray state
         cdef fb_clock *clock = &self.ode.problem.clock
         cdef double before = clock.last if run.direction > 0.0 else clock.first
-        if x is not None and (run.forward or run.steps):
-            self._pass_jump(before, first, vector(x, run.n, "The state x"))
+        if x is not None and (run.observer.forward or run.record):
+            self._pass_jump(before, first, vector(x, stepper.n, "The state x"))
         clock.first, clock.last = min(first, last), max(first, last)
-        run.t, run.t_bound = t - self.origin, t_bound - self.origin
-        self.t_begin, self.since_begin, self.t_bound = t, run.t, t_bound
-        run.until = run.t_bound
+        stepper.t, run.t_bound = t - self.origin, t_bound - self.origin
+        self.t_begin, self.since_begin, self.t_bound = t, stepper.t, t_bound
+        run.samples.until = run.t_bound
         if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
-            run.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
+            run.samples.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
         if x is not None:
-            state = vector(x, run.n, "The state x")
-            memcpy(run.x, data(state), run.n * sizeof(double))
-            run.pending = 1
-            if run.project and self.ode.check(fb_problem_project(run.problem, run.t, run.x, 0)) != FB_OK:
+            state = vector(x, stepper.n, "The state x")
+            memcpy(stepper.x, data(state), stepper.n * sizeof(double))
+            run.samples.pending = 1
+            if stepper.project and self.ode.check(
+                    fb_problem_project(stepper.problem, stepper.t, stepper.x, 0)) != FB_OK:
                 return False
-        if run.forward:
+        if run.observer.forward:
             self.forward.fsal = 0
-            if x is not None and run.project:
-                self.ode.check(fb_forward_close(run, run.t, FB_LAST_ANY, run.x, self.forward.s))
-        if run.steps:
+            if x is not None and stepper.project:
+                self._close_derivatives()
+        if run.record:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             if x is not None:
                 self._make_room_for_steps()
                 fb_keep_step(run, 0.0)
-        self.ode.check(fb_augmented_begin(run) if run.augmented else fb_resume(run))
-        if run.n_events:
-            memcpy(run.event_old, run.event_value, run.n_events * sizeof(double))
-            self.ode.check(fb_event_values(run, run.t, run.x, run.event_value))
+        self.ode.check(fb_resume(stepper))
+        if run.watch.n_events:
+            memcpy(run.watch.old, run.watch.value, run.watch.n_events * sizeof(double))
+            self.ode.check(fb_event_values(run, stepper.t, stepper.x, run.watch.value))
         return True
 
     cdef int _pass_jump(self, double before, double after, cnp.ndarray x) except -1:
         """The derivatives after a jump of the speeds to a state x."""
         cdef fb_run *run = &self.run
+        cdef fb_stepper *stepper = &run.stepper
         cdef int i, n_q = self.ode.evaluator.n_q, n_u = self.ode.evaluator.n_u
         cdef fb_velocity_jump jump
         cdef cnp.ndarray memory = np.zeros((2, self.ode.evaluator.n_r + 1)), places = _rates_of(self.ode)
@@ -931,16 +941,17 @@ cdef class Run:
         cdef int status
         jump.t_before, jump.t_after, jump.rate = before, after, <const int *>cnp.PyArray_DATA(places)
         jump.before, jump.change = data(memory), data(memory) + self.ode.evaluator.n_r + 1
-        status = fb_speed_jump(run.problem, &jump, run.x, data(speeds), data(scratch))
+        status = fb_speed_jump(stepper.problem, &jump, stepper.x, data(speeds), data(scratch))
         if status != FB_OK:
-            raise SimulationError(self.ode.evaluator.failure(status, after, _state_of(run)))
-        change = (x - _state_of(run))[n_q:n_q + n_u]
+            raise SimulationError(self.ode.evaluator.failure(status, after, _state_of(stepper)))
+        change = (x - _state_of(stepper))[n_q:n_q + n_u]
         size = np.abs(change).max(initial=0.0) + np.abs(speeds).max(initial=0.0)
         if not np.abs(change - speeds).max(initial=0.0) <= 1e-6 * size + 1e-9:
             raise SimulationError(
                 f"The speeds jump at t = {after:.9g} by an expression of time in the model, which has no derivatives: "
                 "prescribe the motion by an input.")
-        if run.forward and fb_forward_jump(run, &jump, run.x, self.forward.s) != FB_OK:
+        if run.observer.forward and fb_forward_jump(
+                stepper, &self.forward, &jump, stepper.x, self.forward.s) != FB_OK:
             for i in range(self.forward.size):
                 self.forward.s[i] = NAN
         return 0
@@ -963,7 +974,7 @@ cdef class Run:
 
     cdef double _within(self, double share):
         """The run's time at a fraction of the last step."""
-        return self.run.t if share == 1.0 else self.run.t_old + share * self.run.h
+        return self.run.stepper.t if share == 1.0 else self.run.stepper.t_old + share * self.run.stepper.h
 
     def time_within(self, double share):
         """The time at a fraction of the last step."""
@@ -971,8 +982,8 @@ cdef class Run:
 
     def state_within(self, double share):
         """The state at a fraction of the last step, shape (n_x,)."""
-        cdef cnp.ndarray x = new_array(self.run.n)
-        self.ode.check(fb_state_at(&self.run, self._within(share), data(x)))
+        cdef cnp.ndarray x = new_array(self.run.stepper.n)
+        self.ode.check(fb_state_at(&self.run.stepper, self._within(share), data(x)))
         return x
 
     def rates_within(self, double share):
@@ -982,13 +993,14 @@ cdef class Run:
     def sensitivity_within(self, double share):
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
-        self.ode.check(fb_forward_at(&self.run, self._within(share), FB_LAST_ANY, data(x), data(s)))
-        return _by_directions(s[np.newaxis], &self.forward, self.run.n, self.directions)[..., 0].T
+        self.ode.check(fb_forward_at(
+            &self.run.stepper, &self.forward, self._within(share), FB_LAST_ANY, data(x), data(s)))
+        return _by_directions(s[np.newaxis], &self.forward, self.run.stepper.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
         """The event functions at a fraction of the last step, shape (n_events,)."""
         cdef cnp.ndarray x = self.state_within(share)
-        cdef cnp.ndarray values = new_array(self.run.n_events)
+        cdef cnp.ndarray values = new_array(self.run.watch.n_events)
         self.ode.check(fb_event_values(&self.run, self._within(share), data(x), data(values)))
         return values
 
@@ -996,59 +1008,60 @@ cdef class Run:
         """End the run at a fraction of the last step: the state there is the last one, with no samples after it."""
         cdef cnp.ndarray x = self.state_within(share), s
         t = self.time_within(share)
-        self.run.until = self.run.t_bound = self._within(share)
+        self.run.samples.until = self.run.t_bound = self._within(share)
         self.t_bound = t
-        if self.run.forward and self.run.times == NULL:
+        if self.run.observer.forward and self.run.samples.times == NULL:
             s = new_array(self.forward.size)
-            self.ode.check(fb_forward_at(&self.run, self.run.until, FB_LAST_ANY, data(x), data(s)))
+            self.ode.check(fb_forward_at(
+                &self.run.stepper, &self.forward, self.run.samples.until, FB_LAST_ANY, data(x), data(s)))
             memcpy(self.forward.s, data(s), self.forward.size * sizeof(double))
-        if self.run.times == NULL:
-            memcpy(self.run.x, data(x), self.run.n * sizeof(double))
-            self.run.t = self.run.until
+        if self.run.samples.times == NULL:
+            memcpy(self.run.stepper.x, data(x), self.run.stepper.n * sizeof(double))
+            self.run.stepper.t = self.run.samples.until
 
     def discard(self):
         """Discard the last step; the run ends before it."""
-        memcpy(self.run.x, self.run.x_old, self.run.n * sizeof(double))
-        if self.run.forward:
+        memcpy(self.run.stepper.x, self.run.stepper.x_old, self.run.stepper.n * sizeof(double))
+        if self.run.observer.forward:
             memcpy(self.forward.s, self.forward.s_old, self.forward.size * sizeof(double))
-        if self.run.steps:
+        if self.run.record:
             self.steps.n -= 1
-        self.run.t, self.run.pending = self.run.t_old, 0
+        self.run.stepper.t, self.run.samples.pending = self.run.stepper.t_old, 0
 
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""
-        return DenseOutput(self.ode, self.method, self.run.direction, self.run.project, [self.t], [self.run.t], [],
-                           self.directions)
+        return DenseOutput(self.ode, self.method, self.run.direction, self.run.stepper.project, [self.t],
+                           [self.run.stepper.t], [], self.directions)
 
     @property
     def toggled(self):
         """Whether the sign of det J_d may have changed in the last step."""
-        return bool(self.run.toggled)
+        return bool(self.run.watch.toggled)
 
     @property
     def t(self):
         """The time reached."""
-        return self._at(self.run.t)
+        return self._at(self.run.stepper.t)
 
     @property
     def t_old(self):
         """The beginning of the last step."""
-        return self._at(self.run.t_old)
+        return self._at(self.run.stepper.t_old)
 
     @property
     def h(self):
         """The length of the last step."""
-        return self.run.h
+        return self.run.stepper.h
 
     @property
     def n_steps(self):
         """Number of steps."""
-        return self.run.n_steps
+        return self.run.stepper.n_steps
 
     @property
     def n_evaluations(self):
         """Number of evaluations of the right-hand side."""
-        return self.run.n_evaluations
+        return self.run.stepper.n_evaluations
 
     @property
     def n_jacobians(self):
@@ -1063,14 +1076,14 @@ cdef class Run:
     @property
     def x(self):
         """The state reached, shape (n_x,)."""
-        return _state_of(&self.run)
+        return _state_of(&self.run.stepper)
 
     @property
     def event_values(self):
         """The event functions before and after the last step, two lists."""
         cdef int i
-        return ([self.run.event_old[i] for i in range(self.run.n_events)],
-                [self.run.event_value[i] for i in range(self.run.n_events)])
+        return ([self.run.watch.old[i] for i in range(self.run.watch.n_events)],
+                [self.run.watch.value[i] for i in range(self.run.watch.n_events)])
 
 
 cdef class Steps:
@@ -1149,23 +1162,19 @@ cdef class Steps:
             If the equations have no derivative at a state of the run.
         """
         cdef Ode ode = _ode(*self.ode.__reduce__()[1])  # with buffers of its own
-        cdef fb_run run
+        cdef fb_stepper stepper
         cdef fb_adjoint adjoint
         cdef cnp.ndarray state_seeds = np.ascontiguousarray(wrt_states, dtype=np.float64), output_seeds
-        cdef cnp.ndarray memory, small, part, rates
+        cdef cnp.ndarray memory, _steps, part, rates
         cdef long row, sample = np.size(self.times), until
-        cdef int status = FB_OK, n_stages, n_dense
-        memset(&run, 0, sizeof(run))
+        cdef int status = FB_OK
+        cdef double *rest
+        memset(&stepper, 0, sizeof(stepper))
         memset(&adjoint, 0, sizeof(adjoint))
-        _prepare(&run, ode, tableau_of(self.method))
-        run.project = self.project
-        n_stages, n_dense = run.method.n_stages + 1 + run.method.n_extra, run.method.n_dense + 3
-        small = _zeros(5 + n_stages + n_dense, run.padded)
-        run.x, run.x_old, run.scratch = data(small), data(small) + run.padded, data(small) + 2 * run.padded
-        run.along, run.stages = data(small) + 3 * run.padded, data(small) + 5 * run.padded
-        run.interpolant = run.stages + n_stages * run.padded
-        memory = np.zeros(fb_place_adjoint(&run, &adjoint, NULL))
-        fb_place_adjoint(&run, &adjoint, data(memory))
+        _steps = _place(&stepper, ode, &fb_runge_kutta, tableau_of(self.method), 0, &rest)
+        stepper.project = self.project
+        memory = np.zeros(fb_place_adjoint(&stepper, &adjoint, NULL))
+        fb_place_adjoint(&stepper, &adjoint, data(memory))
         ode.evaluator.function(FB_CONSTRAINT_JVP)
         adjoint.rows = data(self.ends)
         adjoint.sample_row, adjoint.sample_t = <const long *>cnp.PyArray_DATA(self.places), data(self.times)
@@ -1188,14 +1197,14 @@ cdef class Steps:
                 until = max(first_row, row - 1000)  # then interrupts are possible
                 with nogil:
                     while row >= until and status == FB_OK:
-                        status = fb_step_vjp(&run, &adjoint, row, &sample)
+                        status = fb_step_vjp(&stepper, &adjoint, row, &sample)
                         row -= 1
         if status != FB_OK:
             raise SimulationError(
-                f"There is no gradient: {ode.evaluator.failure(status, self.origin + run.t, _state_of(&run))}")
-        start, wrt_parameters = new_array(run.n), new_array(ode.evaluator.n_p)
+                f"There is no gradient: {ode.evaluator.failure(status, self.origin + stepper.t, _state_of(&stepper))}")
+        start, wrt_parameters = new_array(stepper.n), new_array(ode.evaluator.n_p)
         part = start
-        memcpy(data(part), adjoint.wrt_state, run.n * sizeof(double))
+        memcpy(data(part), adjoint.wrt_state, stepper.n * sizeof(double))
         part = wrt_parameters
         memcpy(data(part), adjoint.wrt_parameters, ode.evaluator.n_p * sizeof(double))
         return start, wrt_parameters, wrt_sources
@@ -1220,9 +1229,9 @@ cdef class Stepper:
     """
 
     cdef Ode ode
-    cdef fb_run run
+    cdef fb_stepper stepper
     cdef fb_source *sources
-    cdef double h
+    cdef double h, t_begin
     cdef tuple jumps
     cdef cnp.ndarray breaks
     cdef long n_breaks, n_passed
@@ -1234,23 +1243,20 @@ cdef class Stepper:
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(), breaks=()):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
-        cdef fb_run *run = &self.run
-        self.ode, self.h, self.jumps = ode, h, tuple(jumps)
+        cdef fb_stepper *stepper = &self.stepper
+        cdef double *rest
+        self.ode, self.h, self.jumps, self.t_begin = ode, h, tuple(jumps), t
         self.breaks = np.array(breaks, dtype=np.float64, order="C").reshape(-1, 3)
         self.n_breaks = len(self.breaks)
-        _prepare(run, ode, &fb_rk4)
-        run.project, run.t_begin, run.n_steps = project, t, n_steps
-        run.t = fb_fixed_time(run, h, n_steps)
-        self.kept = np.zeros((8, run.padded))
-        run.x, run.x_old, run.scratch = data(self.kept), data(self.kept) + run.padded, data(self.kept) + 2 * run.padded
-        run.stages = data(self.kept) + 3 * run.padded
-        memcpy(run.x, data(state), n * sizeof(double))
+        self.kept = _place(stepper, ode, &fb_runge_kutta, &fb_rk4, 0, &rest)
+        stepper.project, stepper.n_steps, stepper.t = project, n_steps, fb_fixed_time(t, h, n_steps)
+        memcpy(stepper.x, data(state), n * sizeof(double))
         self.sources = <fb_source *>PyMem_Calloc(2 * ode.evaluator.n_r + 1, sizeof(fb_source))
         if not self.sources:
             raise MemoryError
 
     def __reduce__(self):
-        run = (self.run.t_begin, self.x, bool(self.run.project), self.run.n_steps, self.jumps, self.breaks)
+        run = (self.t_begin, self.x, bool(self.stepper.project), self.stepper.n_steps, self.jumps, self.breaks)
         return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
@@ -1289,7 +1295,7 @@ cdef class Stepper:
         if r is not None:
             held = None if type(r) is np.ndarray else evaluator.held_inputs(r)
             if held is None:
-                values = evaluator._inputs(self.run.t, self.ode.parameters, r, True)
+                values = evaluator._inputs(self.stepper.t, self.ode.parameters, r, True)
         if self.jumps:
             self._check_jumps({place for place, _ in held or ()} if values is None else set(range(evaluator.n_r)))
         _enter(&self.busy)
@@ -1298,7 +1304,7 @@ cdef class Stepper:
         elif held:
             self._hold(held)
         problem.status = FB_OK
-        status = self._pass_breaks() if self.n_breaks else fb_fixed_step(&self.run, self.h)
+        status = self._pass_breaks() if self.n_breaks else fb_fixed_step(&self.stepper, self.h, self._time_after(1))
         if held:  # the tables' intervals
             memcpy(own.sources, self.sources, own.n_sources * sizeof(fb_source))
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
@@ -1306,8 +1312,8 @@ cdef class Stepper:
         self.busy = False
         self.ode.check(status)
         if status != FB_OK:
-            raise SimulationError(self.ode.failure or evaluator.failure(status, self.run.t, self.x))
-        return _state_of(&self.run)
+            raise SimulationError(self.ode.failure or evaluator.failure(status, self.stepper.t, self.x))
+        return _state_of(&self.stepper)
 
     cdef int _hold_all(self, cnp.ndarray values) except -1:
         cdef fb_problem *problem = &self.ode.problem
@@ -1336,13 +1342,13 @@ cdef class Stepper:
 
     cdef int _pass_breaks(self) noexcept:
         """A step in pieces between breaks, each with the inputs on its own side of these; the kernel's status."""
-        cdef fb_run *run = &self.run
-        cdef fb_clock *clock = &run.problem.clock
+        cdef fb_stepper *stepper = &self.stepper
+        cdef fb_clock *clock = &stepper.problem.clock
         cdef const double *breaks = data(self.breaks)
-        cdef cnp.ndarray start = _state_of(run)
-        cdef double t_old = run.t, t_new = fb_fixed_time(run, self.h, run.n_steps + 1), t = t_old
+        cdef cnp.ndarray start = _state_of(stepper)
+        cdef double t_old = stepper.t, t_new = self._time_after(1), t = t_old
         cdef double direction = 1.0 if self.h > 0.0 else -1.0, before, after
-        cdef long n_steps = run.n_steps, k = self.n_passed
+        cdef long n_steps = stepper.n_steps, k = self.n_passed
         cdef int status = FB_OK
         while status == FB_OK and t != t_new:
             while k < self.n_breaks and direction * t >= direction * breaks[3 * k + 1]:
@@ -1351,35 +1357,39 @@ cdef class Stepper:
             before = breaks[3 * k + 1] if k < self.n_breaks else direction * INFINITY
             clock.first, clock.last = min(after, before), max(after, before)
             t = breaks[3 * k] if k < self.n_breaks and direction * t_new > direction * breaks[3 * k + 2] else t_new
-            status = fb_step_to(run, self.h if t_old == run.t and t == t_new else t - run.t, t)
+            status = fb_fixed_step(stepper, self.h if t_old == stepper.t and t == t_new else t - stepper.t, t)
         clock.first, clock.last = -INFINITY, INFINITY
         if status == FB_OK:
             self.n_passed = k
         else:  # as it was
-            memcpy(run.x, data(start), run.n * sizeof(double))
-            run.t = t_old
-        run.n_steps = n_steps + (status == FB_OK)
+            memcpy(stepper.x, data(start), stepper.n * sizeof(double))
+            stepper.t = t_old
+        stepper.n_steps = n_steps + (status == FB_OK)
         return status
+
+    cdef double _time_after(self, long steps) noexcept:
+        """The time after so many more steps."""
+        return fb_fixed_time(self.t_begin, self.h, self.stepper.n_steps + steps)
 
     def _check_jumps(self, held):
         """Raise if speeds jump within the next step by something else than inputs that are held, a set of places."""
-        cdef double next_time = fb_fixed_time(&self.run, self.h, self.run.n_steps + 1)
+        cdef double next_time = self._time_after(1)
         for end, begin, inputs in self.jumps:
             if inputs and held.issuperset(inputs):
                 continue
-            if min(self.run.t, next_time) < max(end, begin) and max(self.run.t, next_time) > min(end, begin):
+            if min(self.stepper.t, next_time) < max(end, begin) and max(self.stepper.t, next_time) > min(end, begin):
                 raise SimulationError(
                     f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step "
-                    f"from {self.run.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new "
+                    f"from {self.stepper.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new "
                     "stepper goes on.")
 
     @property
     def t(self):
-        return self.run.t
+        return self.stepper.t
 
     @property
     def x(self):
-        return _state_of(&self.run)
+        return _state_of(&self.stepper)
 
 
 @cython.final
@@ -1423,7 +1433,7 @@ cdef class DenseOutput:
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
         self.times, self.ends, self.steps = times, ends, steps
         self.directions, self.varied = directions, list(varied)
-        self.tableau, self.padded = tableau_of(method), _padded_size(ode.evaluator.n_x)
+        self.tableau, self.padded = tableau_of(method), fb_padded(ode.evaluator.n_x)
         self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
     def __reduce__(self):
@@ -1436,17 +1446,19 @@ cdef class DenseOutput:
 
     def add(self, Run last not None):
         """Add the last step of a run."""
-        cdef fb_run *run = &last.run
+        cdef fb_stepper *stepper = &last.run.stepper
+        cdef double *end
         cdef cnp.ndarray step = new_array(self.rows + 2, self.padded)
-        last.ode.check(fb_prepare_interpolant(run))
-        memcpy(data(step), run.interpolant, self.rows * self.padded * sizeof(double))
-        memcpy(data(step) + self.rows * self.padded, run.x_old, self.padded * sizeof(double))
-        data(step)[(self.rows + 1) * self.padded], data(step)[(self.rows + 1) * self.padded + 1] = run.t_old, run.h
+        last.ode.check(fb_prepare_interpolant(stepper))
+        memcpy(data(step), stepper.interpolant, self.rows * self.padded * sizeof(double))
+        memcpy(data(step) + self.rows * self.padded, stepper.x_old, self.padded * sizeof(double))
+        end = data(step) + (self.rows + 1) * self.padded
+        end[0], end[1] = stepper.t_old, stepper.h
         self.times.append(last.t)
-        self.ends.append(run.t)
+        self.ends.append(stepper.t)
         self.steps.append(step)
         if self.directions is not None:
-            last.ode.check(fb_forward_prepare_interpolant(run))
+            last.ode.check(fb_forward_prepare_interpolant(stepper, &last.forward))
             step = new_array(self.rows + 1, last.forward.size)
             memcpy(data(step), last.forward.interpolant, self.rows * last.forward.size * sizeof(double))
             memcpy(data(step) + self.rows * last.forward.size, last.forward.s_old, last.forward.size * sizeof(double))
@@ -1491,14 +1503,15 @@ cdef class DenseOutput:
         cdef Ode ode = self.ode
         cdef int i, n = ode.evaluator.n_x
         cdef cnp.ndarray x = np.empty((np.size(at), n)), s, step
-        cdef fb_run run
+        cdef fb_stepper stepper
+        cdef double *rest
         cdef fb_forward forward
         cdef double *end
         cdef list kept = []
-        memset(&run, 0, sizeof(run))
+        memset(&stepper, 0, sizeof(stepper))
         memset(&forward, 0, sizeof(forward))
-        _prepare(&run, ode, self.tableau)
-        _prepare_forward(&run, &forward, ode, self.directions, kept)
+        kept.append(_place(&stepper, ode, &fb_runge_kutta, self.tableau, 0, &rest))
+        _prepare_forward(&stepper, &forward, ode, self.directions, kept)
         s = np.empty((np.size(at), forward.size))
         places = steps_at(at, self.direction, self.times, self.ends)
         for i in range(np.size(at)):
@@ -1507,7 +1520,8 @@ cdef class DenseOutput:
             fb_interpolate(self.tableau, data(step), forward.size, forward.size, data(step) + self.rows * forward.size,
                            (data(at)[i] - self.times[0] - end[0]) / end[1], data(s) + i * forward.size)
             if self.project:
-                ode.check(fb_forward_close(&run, 0.0, FB_LAST_ANY, data(x) + i * n, data(s) + i * forward.size))
+                ode.check(fb_forward_close(
+                    &stepper, &forward, 0.0, FB_LAST_ANY, data(x) + i * n, data(s) + i * forward.size))
         derivatives = _by_directions(s, &forward, n, self.directions)
         return self.directions.by_name(derivatives if np.ndim(t) else derivatives[..., 0])
 

@@ -415,6 +415,9 @@ class Model:
 
     def _labelled(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         """All expressions of the model, with a description of their place."""
+        return chain(self._labelled_equations(), self._labelled_state_equations(), self._labelled_outputs())
+
+    def _labelled_equations(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         yield from self.mechanism.labelled_loads()
         yield from self.mechanism.labelled_structure()
         if self.potential_energy is not None:
@@ -422,8 +425,12 @@ class Model:
         for function, expression in self.input_expressions.items():
             if expression is not None:
                 yield f"the expression of input {_name(function)}", (expression,)
+
+    def _labelled_state_equations(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         for function, expression in self.state_equations.items():
             yield f"the state equation of {_name(function)}", (expression,)
+
+    def _labelled_outputs(self) -> Iterator[tuple[str, Iterable[sm.Expr]]]:
         for name, expression in self.output_expressions.items():
             yield f"output {name}", (expression,)
 
@@ -540,10 +547,13 @@ class Model:
         values = {s: v.value if isinstance(v, Parameter) else v for s, v in given.items()}
         derived = {s: _of_parameters(s, v, t) for s, v in values.items() if getattr(v, "free_symbols", None)}
         found: set[sm.Symbol] = set()
-        labelled = [*self._labelled(), *((f"the expression of parameter {s}", (e,)) for s, e in derived.items())]
-        for label, expressions in labelled:
-            is_rate = label.startswith("the state equation ")
-            in_outputs = of_outputs if label.startswith("output ") else of_solution if is_rate else set()
+        groups: tuple[tuple[Iterable[tuple[str, Iterable[sm.Expr]]], set[sm.Expr]], ...] = (
+            (self._labelled_equations(), set()),
+            (self._labelled_state_equations(), of_solution),
+            (self._labelled_outputs(), of_outputs),
+            (((f"the expression of parameter {s}", (e,)) for s, e in derived.items()), set()),
+        )
+        for label, expressions, in_outputs in ((*entry, allowed) for group, allowed in groups for entry in group):
             for node in walk(expressions):
                 if isinstance(node, sm.Symbol):
                     found.add(node)

@@ -464,8 +464,8 @@ cdef class Evaluator:
         if status == FB_NOT_CLOSED:
             return f"The loops cannot be closed {where}: no state nearby satisfies the constraints."
         return (
-            f"The equations of motion, or what follows from them, are not finite {where}: a division by zero, an "
-            "overflow, a coordinate beyond its range, or an input that is not finite."
+            f"The equations of motion, their derivatives, or what else follows from them, are not finite {where}: a "
+            "division by zero, an overflow, a coordinate beyond its range, or an input that is not finite."
         )
 
     def too_few_dependent(self, where, rank=None):

@@ -116,7 +116,7 @@ static double evaluate(const fb_kernel *k, const double *p)
 static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
 {
     const fb_method *const steps_of = method == &fb_trapezoid ? &fb_augmented_lagrangian : &fb_runge_kutta;
-    const int n = k->n_x, padded = fb_padded(n);
+    const int n = k->n_x, padded = FB_PADDED(n);
     fb_source source = {.table = &table};
     fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
                           .inputs = doubles(k->n_r),

@@ -135,7 +135,7 @@ typedef struct run {
     fb_run run;
     fb_problem problem;
     fb_kernel kernel;
-    double memory[(3 + FB_MAX_STAGES + FB_MAX_DENSE + 3 + 2) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
+    double memory[(FB_STEPPER_ROWS + 2) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
     double sample_t[SAMPLES], sample_x[SAMPLES * MOST], outputs[MOST], event_value[MOST], event_old[MOST];
     int event_output[MOST], event_direction[MOST];
     rates_of *rates;

@@ -280,8 +280,7 @@ class Kinematics:
         """Whether the velocity of a point is known to be the rate of its position relative to a point at rest."""
         base, parts = self._steps[point]
         if base is None:
-            rests = parts is not None and not any(entry for _, vector in parts for entry in vector)
-            return self.mechanism.points[point].parent is None and rests
+            return self.mechanism.points[point].parent is None and parts is not None and not self.moves(point)
         frames = {frame for frame, _ in self.mechanism.points[point].offset}
         return frames <= self.turning_as_oriented and self.moves_as_placed(base)
 

@@ -21,7 +21,7 @@ typedef struct fb_lanes {
     /* for the beginning of a run */
     fb_problem problem;
     fb_stepper begin;
-    double rows[(3 + FB_MAX_STAGES + FB_MAX_DENSE + 3) * ((N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK)];
+    double rows[FB_STEPPER_ROWS * FB_PADDED(N_X)];
     double lane_failed[N_X], lane_moved[N_X];
 } fb_lanes;
 

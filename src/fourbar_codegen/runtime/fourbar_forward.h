@@ -376,13 +376,8 @@ static inline int fb_forward_prepare_interpolant(fb_stepper *stepper, fb_forward
             if (status < 0)
                 return status;
         }
-        const double *const k_old = f->stages, *const k = f->stages + m->n_stages * f->size;
-        for (int i = 0; i < f->size; ++i) {
-            const double change = f->s[i] - f->s_old[i];
-            f->interpolant[i] = change;
-            f->interpolant[f->size + i] = stepper->h * k_old[i] - change;
-            f->interpolant[2 * f->size + i] = 2.0 * change - stepper->h * (k[i] + k_old[i]);
-        }
+        fb_hermite_rows(f->size, stepper->h, f->s_old, f->s, f->stages, f->stages + m->n_stages * f->size,
+                        f->interpolant);
         for (int i = 0; i < m->n_dense; ++i)
             fb_forward_combine(f, stepper->weights.dense + i, stepper->h, NULL, f->interpolant + (3 + i) * f->size);
     }

@@ -24,8 +24,8 @@
 #define next_change(begin, end) (end)
 #endif
 
-/* The rows of a run: states, stages, interpolant, and what it looks along. */
-enum { N_PADDED = (N_X + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK, N_ROWS = 3 + FB_MAX_STAGES + FB_MAX_DENSE + 3 + 2 };
+/* The rows of a run: those of its stepper, and two that it looks along. */
+enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 2 };
 
 /* What a mechanism needs between calls: the constants, the workspace of the equations, and the state and the stages of
  * a step. */

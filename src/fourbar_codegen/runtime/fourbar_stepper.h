@@ -15,6 +15,10 @@
 
 enum { FB_BLOCK = 8, FB_MAX_STAGES = 16, FB_MAX_EXTRA = 4, FB_MAX_DENSE = 4 };
 
+/* The length of n states padded to whole blocks, and the most rows of that length that `fb_place_stepper` places. */
+#define FB_PADDED(n) (((n) + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK)
+enum { FB_STEPPER_ROWS = 3 + FB_MAX_STAGES + FB_MAX_DENSE + 3 };
+
 /* The weights of a linear combination of stages, without zeros. */
 typedef struct fb_weights {
     int n;
@@ -100,18 +104,12 @@ static inline void fb_prepare_weights(fb_stepper *s)
         fb_weights_of(m->dense + i * all, all, s->weights.dense + i);
 }
 
-/* The length of n states padded to whole blocks. */
-static inline int fb_padded(const int n)
-{
-    return (n + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK;
-}
-
 /* Prepares the steps of a method for n states, whose arrays are placed in memory, unless that is NULL; returns their
  * number of doubles. The memory and the stepper must be zeros before its first use. */
 static inline size_t fb_place_stepper(fb_stepper *s, const fb_method *method, const fb_tableau *tableau, const int n,
                                       double *memory)
 {
-    const int padded = fb_padded(n);
+    const int padded = FB_PADDED(n);
     const fb_place places[] = {
         {&s->x, padded},
         {&s->x_old, padded},
@@ -230,6 +228,19 @@ static inline int fb_resume(fb_stepper *s)
     return s->method->restart(s, s->t, s->x, s->stages);
 }
 
+/* The first three rows of an interpolant's coefficients, of length n, for a step of length h from x_old to x with the
+ * rates f_old and f: the cubic Hermite polynomial. */
+static inline void fb_hermite_rows(const int n, const double h, const double *x_old, const double *x,
+                                   const double *f_old, const double *f, double *restrict rows)
+{
+    for (int i = 0; i < n; ++i) {
+        const double change = x[i] - x_old[i];
+        rows[i] = change;
+        rows[n + i] = h * f_old[i] - change;
+        rows[2 * n + i] = 2.0 * change - h * (f[i] + f_old[i]);
+    }
+}
+
 /* The coefficients of the last step's interpolant. */
 static inline int fb_prepare_interpolant(fb_stepper *s)
 {
@@ -246,13 +257,7 @@ static inline int fb_prepare_interpolant(fb_stepper *s)
             if (status < 0)
                 return status;
         }
-        const double *const f_old = s->stages, *const f = fb_end_rates(s);
-        for (int i = 0; i < s->padded; ++i) {
-            const double change = s->x[i] - s->x_old[i];
-            s->interpolant[i] = change;
-            s->interpolant[s->padded + i] = s->h * f_old[i] - change;
-            s->interpolant[2 * s->padded + i] = 2.0 * change - s->h * (f[i] + f_old[i]);
-        }
+        fb_hermite_rows(s->padded, s->h, s->x_old, s->x, s->stages, fb_end_rates(s), s->interpolant);
         for (int i = 0; i < m->n_dense; ++i)
             fb_combine(s, s->weights.dense + i, s->h, NULL, s->interpolant + (3 + i) * s->padded);
     }

@@ -21,7 +21,7 @@ from fourbar_codegen.roles import StopReason
 cnp.import_array()
 
 cdef extern from "fourbar_stepper.h":
-    int FB_BLOCK, FB_MAX_STAGES
+    int FB_MAX_STAGES
     ctypedef struct fb_method:
         pass
     ctypedef struct fb_stepper:
@@ -38,7 +38,7 @@ cdef extern from "fourbar_stepper.h":
         double *interpolant
         int fsal
         long n_evaluations, n_steps
-    int fb_padded(int) noexcept nogil
+    int FB_PADDED(int) noexcept nogil
     size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
     int fb_resume(fb_stepper *) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
@@ -771,7 +771,7 @@ cdef class Run:
         self.ode, self.method, self.kept = ode, method, []
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
-        self.kept.append(_place(stepper, ode, steps, tableau_of(method), 2 * fb_padded(n) + 2 * n, &memory))
+        self.kept.append(_place(stepper, ode, steps, tableau_of(method), 2 * FB_PADDED(n) + 2 * n, &memory))
         stepper.project = project
         stepper.rtol, stepper.atol = _fill(memory, rtol, n), _fill(memory + n, atol, n)
         watch.along = memory + 2 * n
@@ -1433,7 +1433,7 @@ cdef class DenseOutput:
         self.ode, self.method, self.direction, self.project = ode, method, direction, project
         self.times, self.ends, self.steps = times, ends, steps
         self.directions, self.varied = directions, list(varied)
-        self.tableau, self.padded = tableau_of(method), fb_padded(ode.evaluator.n_x)
+        self.tableau, self.padded = tableau_of(method), FB_PADDED(ode.evaluator.n_x)
         self.rows = self.tableau.n_dense + (3 if self.tableau.hermite else 0)
 
     def __reduce__(self):

@@ -72,7 +72,8 @@ class StopReason(_Enum):
     INFINITE = 5, "the step's length is not finite"
     COLLAPSED = 6, "steps have become much smaller than they were on average"
     DIVERGED = 7, "the equations of an implicit step could not be solved"
-    OPEN = 8, "after a step the constraint violation is too large to be corrected, in runs by Python's solvers"
+    OPEN = 8, "the constraint violation is too large to be corrected: after a step by Python's solvers, or after a jump"
+    SINGULAR = 9, "a singular position is reached, in runs that look for these themselves"
 
 
 class Threshold(float, Enum):

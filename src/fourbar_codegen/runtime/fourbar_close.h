@@ -16,11 +16,6 @@
 #endif
 enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
-/* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
- * which the sign of det J_d is another one, and where a step fails. */
-#define FB_PASSED_RATIO 1e-4
-#define FB_FAILED_RATIO 1e-3
-
 static inline double fb_min(const double a, const double b)
 {
     return a < b ? a : b;

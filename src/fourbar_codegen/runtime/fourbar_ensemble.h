@@ -207,7 +207,7 @@ static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, c
 }
 
 /* Starts the next waiting member in a free lane. */
-static inline void fb_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
+static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     fb_lane_equations *const s = &c->equations;
     fb_stepper *const b = &c->begin;
@@ -520,7 +520,7 @@ static int run(const fb_ensemble *e)
     for (;;) {
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (!c->active[lane])
-                fb_enter(c, e, lane);
+                fb_lanes_enter(c, e, lane);
         if (!fb_any(c->active) || __atomic_load_n(e->stop, __ATOMIC_RELAXED))
             break;
         fb_lanes_step(c, e);

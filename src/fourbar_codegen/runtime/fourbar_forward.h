@@ -412,6 +412,27 @@ static inline int fb_forward_sample(fb_stepper *stepper, fb_forward *f, const lo
     return fb_forward_at(stepper, f, t, FB_LAST_PROJECT, x, f->samples + sample * f->size);
 }
 
+static inline void fb_forward_take_back(fb_forward *f)
+{
+    memcpy(f->s, f->s_old, (size_t)f->size * sizeof *f->s);
+}
+
+/* Goes on from the state reached; if that has moved, S moves onto the tangent of the constraints. */
+static inline int fb_forward_restart(fb_stepper *stepper, fb_forward *f, const int moved)
+{
+    f->fsal = 0;
+    return moved && stepper->project ? fb_forward_close(stepper, f, stepper->t, FB_LAST_ANY, stepper->x, f->s) : 0;
+}
+
+/* S at the end of a run, at t, x within the last step. */
+static inline int fb_forward_end(fb_stepper *stepper, fb_forward *f, const double t, const double *x)
+{
+    const int status = fb_forward_at(stepper, f, t, FB_LAST_ANY, x, f->scratch);
+    if (status == 0)
+        memcpy(f->s, f->scratch, (size_t)f->size * sizeof *f->s);
+    return status;
+}
+
 /* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the stepper keep
  * the evaluations of its steps there; returns their number of doubles. */
 static inline size_t fb_place_forward(fb_stepper *stepper, const int n, fb_forward *f, double *memory)

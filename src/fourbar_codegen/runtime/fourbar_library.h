@@ -115,6 +115,13 @@ static fb_problem *problem_now(struct FB_MODEL *model, double *t)
     return problem;
 }
 
+/* By which runs find singular positions. */
+static double least_pivot(fb_stepper *stepper, const double t, const double *x)
+{
+    const fb_problem *const problem = stepper->problem;
+    return N_RANK == 0 ? 1.0 : fb_least_pivot(t, x, problem->constants, problem->inputs, problem->work);
+}
+
 /* The run at the present state, by a method of order 4 or 8. */
 static fb_run *run_of(struct FB_MODEL *model, const int order)
 {
@@ -133,6 +140,7 @@ static fb_run *run_of(struct FB_MODEL *model, const int order)
     stepper->t = run->pace.t_begin = model->t;
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
+    run->watch.singular.least_pivot = least_pivot;
     return run;
 }
 
@@ -304,15 +312,14 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return next_change(begin, next);
 }
 
-/* The end of the piece from one time towards another: inputs are those between two discontinuities. */
-static double begin_piece(fb_problem *problem, const double begin, const double end)
+/* The segment from one time towards another: inputs are those between two discontinuities. */
+static fb_segment segment_from(const fb_problem *problem, const double begin, const double end)
 {
+    const double towards = end < begin ? -INFINITY : INFINITY;
     if (N_BREAKPOINTS + FB_CHANGES == 0)
-        return end;
+        return (fb_segment){begin, end, -towards, towards};
     const double until = next_breakpoint(problem, begin, end);
-    problem->clock.first = nextafter(fb_min(begin, until), INFINITY);
-    problem->clock.last = nextafter(fb_max(begin, until), -INFINITY);
-    return until;
+    return (fb_segment){begin, until, nextafter(begin, until), nextafter(until, begin)};
 }
 
 int FB_PUBLIC(jumps)(struct FB_MODEL *model)
@@ -365,7 +372,9 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     fb_stepper *const stepper = &run->stepper;
     int status = FB_OK;
     for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES && status == FB_OK && stepper->t != t_end; ++piece) {
-        const double until = begin_piece(stepper->problem, stepper->t, t_end);
+        const fb_segment segment = segment_from(stepper->problem, stepper->t, t_end);
+        const double until = segment.t_bound;
+        fb_set_segment(run, &segment);
         status = fb_fixed_step(stepper, piece == 0 && until == t_end ? h : until - stepper->t, until);
     }
     if (status == FB_OK)
@@ -373,40 +382,27 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     return status;
 }
 
-/* Whether the constraints lose rank within the last step, in which the sign of det J_d has changed: at one of many
- * states, those near the least of them looked at more closely. */
-static int passes_singular_position(fb_run *run, const double typical)
+/* Whether a run to t_end can store its states at these times, which are in its order. */
+static int is_run(const struct FB_MODEL *model, const double t_end, const double *times, const long n_times,
+                  const double *states)
 {
-    fb_stepper *const stepper = &run->stepper;
-    fb_problem *const problem = stepper->problem;
-    double *const along = run->watch.along;
-    double low = stepper->t_old, high = stepper->t, least = INFINITY;
-    for (int turn = 0; turn < 5; ++turn) {
-        const double part = (high - low) / 32.0, begin = low;
-        double smallest = INFINITY;
-        for (int i = 1; i < 32; ++i) {
-            const double t = begin + i * part;
-            if (fb_state_at(stepper, t, along) < 0)
-                return 0;
-            fb_fill_inputs(problem, t, along);
-            const double pivot = fb_least_pivot(t, along, problem->constants, problem->inputs, problem->work);
-            if (pivot < smallest) {
-                smallest = pivot;
-                low = t - part;
-                high = t + part;
-            }
-        }
-        least = smallest < least ? smallest : least;
-    }
-    return least < FB_PASSED_RATIO * typical;
+    const double begin = model->t;
+    if (!isfinite(begin) || !isfinite(t_end) || n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
+        return 0;
+    for (long i = 0; i < n_times; ++i)
+        if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
+            (i > 0 && (times[i] - times[i - 1]) * (t_end - begin) < 0.0))
+            return 0;
+    return 1;
 }
 
-static double least_pivot_of(const fb_run *run)
+/* What it means that a run has stopped before its end. */
+static int status_of_stop(fb_run *run, const int reason)
 {
-    const fb_problem *const problem = run->stepper.problem;
-    if (N_RANK == 0)
-        return 1.0;
-    return fb_least_pivot(run->stepper.t, run->stepper.x, problem->constants, problem->inputs, problem->work);
+    const int status = run->stepper.problem->status;
+    if (reason == FB_RUN_SINGULAR || (reason == FB_RUN_PAUSED && fb_fails_near_singular_position(run)))
+        return FB_SINGULAR_POSITION;
+    return status != FB_OK ? status : reason == FB_RUN_PAUSED ? FB_TOO_MANY_STEPS : FB_STEP_TOO_SMALL;
 }
 
 int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
@@ -416,17 +412,9 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
     own->clock = fb_all_time;
     fb_run *const run = run_of(model, 8);
     fb_stepper *const stepper = &run->stepper;
-    fb_samples *const samples = &run->samples;
     const double begin = model->t;
-    double unused, here = begin;
-    if (!isfinite(begin) || !isfinite(t_end) || !(rtol > 0.0) || !(atol > 0.0))
+    if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0) || !(atol > 0.0))
         return FB_INVALID_ARGUMENT;
-    if (n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
-        return FB_INVALID_ARGUMENT;
-    for (long i = 0; i < n_times; ++i)
-        if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
-            (i > 0 && (times[i] - times[i - 1]) * (t_end - begin) < 0.0))
-            return FB_INVALID_ARGUMENT;
     if (N_MOTION_BREAKPOINTS > 0 && jumps_between(stepper->problem, begin, t_end))
         return FB_SPEEDS_JUMP;
     for (int i = 0; i < N_X; ++i) {
@@ -435,60 +423,27 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
     }
     run->direction = t_end >= begin ? 1.0 : -1.0;
     run->max_step = INFINITY;
-    samples->times = times ? times : &unused;
-    samples->n_times = times ? n_times : 0;
-    samples->next_time = samples->n = 0;
-    samples->t = &unused;
-    samples->x = states;
-    samples->room = 1;
+    run->samples =
+        (fb_samples){.times = times ? times : &begin, .n_times = n_times, .x = states, .room = n_times, .pending = 1};
     int status = stepper->project ? fb_problem_project(stepper->problem, begin, stepper->x, 0) : FB_OK;
     if (status != FB_OK)
         return status;
-    long counted = 0;
-    double typical = 0.0, sum = 0.0; /* the geometric mean over the run of the least pivot of J */
     for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES; ++piece) {
-        const double until = begin_piece(stepper->problem, here, t_end);
-        run->t_bound = samples->until = until;
-        samples->pending = piece == 0;
+        const fb_segment segment = segment_from(stepper->problem, stepper->t, t_end);
         if (piece == 0) {
+            fb_set_segment(run, &segment);
             fb_begin(run);
-            typical = least_pivot_of(run);
         } else
-            fb_resume(stepper);
-        for (;;) {
-            const int reason = fb_run_on(run, 1);
-            if (reason == FB_RUN_EVENT && passes_singular_position(run, typical)) {
-                memcpy(stepper->x, stepper->x_old, sizeof model->x);
-                reach(model, run, stepper->t_old);
-                return FB_SINGULAR_POSITION;
-            }
-            if (stepper->n_steps > counted) {
-                counted = stepper->n_steps;
-                sum += fabs(stepper->h) * log(least_pivot_of(run));
-                typical = exp(sum / fabs(stepper->t - begin));
-            }
-            if (reason == FB_RUN_END)
-                break;
-            if (reason == FB_RUN_FULL) {
-                samples->x += N_X;
-                samples->n = 0;
-                continue;
-            }
-            if (reason != FB_RUN_TOO_SMALL && reason != FB_RUN_INFINITE && stepper->n_steps < FB_MAX_RUN_STEPS)
-                continue;
-            if (samples->pending) { /* to where the last samples were taken */
-                memcpy(stepper->x, stepper->x_old, sizeof model->x);
-                stepper->t = stepper->t_old;
-            }
+            fb_enter(run, &segment, NULL);
+        int reason;
+        do
+            reason = fb_run_on(run, FB_MAX_RUN_STEPS - stepper->n_steps);
+        while (reason == FB_RUN_COLLAPSED);
+        if (reason != FB_RUN_END) {
             reach(model, run, stepper->t);
-            if (least_pivot_of(run) < FB_FAILED_RATIO * typical)
-                return FB_SINGULAR_POSITION;
-            return stepper->problem->status != FB_OK      ? stepper->problem->status
-                   : stepper->n_steps >= FB_MAX_RUN_STEPS ? FB_TOO_MANY_STEPS
-                                                          : FB_STEP_TOO_SMALL;
+            return status_of_stop(run, reason);
         }
-        here = until;
-        if (until == t_end)
+        if (segment.t_bound == t_end)
             break;
     }
     reach(model, run, t_end);

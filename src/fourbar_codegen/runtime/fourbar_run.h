@@ -21,15 +21,32 @@ enum { FB_WINDOW = 100 };
 /* States along a step at which the sign of det J_d is evaluated, if the ends are not conclusive. */
 enum { FB_LOOKS = 8 };
 
+/* A position is singular if the least pivot of J is below this fraction of its mean over a run: within a step after
+ * which the sign of det J_d is another one, and where a step fails. */
+#define FB_PASSED_RATIO 1e-4
+#define FB_FAILED_RATIO 1e-3
+
 /* Samples at given times, or after each step. */
 typedef struct fb_samples {
     const double *times; /* or NULL */
     long n_times, next_time;
-    double *t, *x; /* (room,), (room, n) */
+    double *t, *x; /* (room,) or NULL, (room, n) */
     long room, n;
     int pending;  /* whether the last step's samples are still to be taken */
     double until; /* no samples after this time */
 } fb_samples;
+
+/* The part of a run between two boundaries: its beginning and end, by the run's clock; and the first and the last time,
+ * in the order of the run, at which inputs are evaluated. */
+typedef struct fb_segment {
+    double t, t_bound, first, last;
+} fb_segment;
+
+/* How the run itself finds singular positions: by the least pivot of J, relative to its geometric mean over time. */
+typedef struct fb_singular {
+    double (*least_pivot)(fb_stepper *s, double t, const double *x); /* or NULL: who examines the steps finds them */
+    double typical, integral;                                        /* the mean, and the integral of the logarithm */
+} fb_singular;
 
 /* What may end a run within a step: outputs whose changes of sign are events, and det J_d. */
 typedef struct fb_watch {
@@ -40,6 +57,7 @@ typedef struct fb_watch {
     double *along;       /* (2, padded): a state within the last step, and x' there */
     int look_at_all;     /* whether to examine every step */
     int toggled;         /* whether the sign of det J_d has changed in the last step */
+    fb_singular singular;
 } fb_watch;
 
 /* How fast a run proceeds, by which its steps are found to have collapsed. */
@@ -63,11 +81,15 @@ typedef struct fb_record {
 struct fb_forward;
 
 /* Sensitivities, by fourbar_forward.h: what is done after a step, which is repeated with a shorter one unless the error
- * is below 1, and, if not NULL, for a sample at t, x. */
+ * is below 1; where the last step is taken back; for a sample at t, x, if not NULL; where the run goes on, from another
+ * state if it has moved; and where it ends, at t, x within the last step. */
 typedef struct fb_observer {
     struct fb_forward *forward; /* or NULL */
     int (*after_step)(fb_stepper *s, struct fb_forward *forward, double soon, double *error);
+    void (*take_back)(struct fb_forward *forward);
     int (*at_sample)(fb_stepper *s, struct fb_forward *forward, long sample, double t, const double *x);
+    int (*at_restart)(fb_stepper *s, struct fb_forward *forward, int moved);
+    int (*at_end)(fb_stepper *s, struct fb_forward *forward, double t, const double *x);
 } fb_observer;
 
 typedef struct fb_run {
@@ -86,7 +108,13 @@ static inline int fb_begin(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     s->fsal = 0;
-    return s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
+    const int status = s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
+    fb_singular *const singular = &r->watch.singular;
+    if (status == 0 && singular->least_pivot) {
+        singular->typical = singular->least_pivot(s, s->t, s->x);
+        singular->integral = 0.0;
+    }
+    return status;
 }
 
 /* Projects the end of an attempt onto the constraints, and evaluates x' there; the error becomes NaN where that fails.
@@ -204,7 +232,8 @@ static inline int fb_end_sample(fb_run *r, const double t)
         r->record->sample_row[samples->n] = r->record->n - 1;
         r->record->sample_t[samples->n] = t;
     }
-    samples->t[samples->n] = t;
+    if (samples->t)
+        samples->t[samples->n] = t;
     const double *const x = samples->x + samples->n * s->n;
     const int status = r->observer.at_sample ? r->observer.at_sample(s, r->observer.forward, samples->n, t, x) : 0;
     samples->n += status >= 0;
@@ -293,27 +322,91 @@ static inline int fb_toggled_within(fb_run *r)
     return toggled;
 }
 
-/* Whether the last step is to be examined: event functions or det J_d may have changed their signs in it. */
+/* Whether J loses rank within the last step, in which the sign of det J_d has changed: at one of many states, those
+ * near the least of them looked at more closely. */
+static inline int fb_passes_singular_position(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_problem *const problem = s->problem;
+    const fb_singular *const singular = &r->watch.singular;
+    double *const along = r->watch.along;
+    double low = s->t_old, high = s->t, least = INFINITY;
+    for (int turn = 0; turn < 5; ++turn) {
+        const double part = (high - low) / 32.0, begin = low;
+        double smallest = INFINITY;
+        for (int i = 1; i < 32; ++i) {
+            const double t = begin + i * part;
+            const int status = fb_state_at(s, t, along);
+            if (status < 0)
+                return status;
+            fb_fill_inputs(problem, t, along);
+            const double pivot = singular->least_pivot(s, t, along);
+            if (pivot < smallest) {
+                smallest = pivot;
+                low = t - part;
+                high = t + part;
+            }
+        }
+        least = smallest < least ? smallest : least;
+    }
+    return least < FB_PASSED_RATIO * singular->typical;
+}
+
+/* Whether a step failed because the state reached is next to a singular position. */
+static inline int fb_fails_near_singular_position(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    const fb_singular *const singular = &r->watch.singular;
+    return singular->least_pivot && singular->least_pivot(s, s->t, s->x) < FB_FAILED_RATIO * singular->typical;
+}
+
+/* Takes the least pivot at the state reached into its mean. */
+static inline void fb_note_pivot(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_singular *const singular = &r->watch.singular;
+    singular->integral += fabs(s->h) * log(singular->least_pivot(s, s->t, s->x));
+    singular->typical = exp(singular->integral / fabs(s->t - r->pace.t_begin));
+}
+
+/* Whether event functions may have changed their signs in the last step. */
+static inline int fb_events_within(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_watch *const watch = &r->watch;
+    int found = 0;
+    if (watch->n_events == 0)
+        return 0;
+    memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
+    const int status = fb_event_values(r, s->t, s->x, watch->value);
+    for (int i = 0; i < watch->n_events; ++i)
+        found |= fb_is_event(watch->old[i], watch->value[i], watch->direction[i]);
+    return status < 0 ? status : found;
+}
+
+/* Looks at the last step: FB_RUN_PAUSED if there is nothing to examine. */
 static inline int fb_look(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     fb_watch *const watch = &r->watch;
+    const int finds_singular = watch->singular.least_pivot != NULL;
     /* Methods that pass singular positions need not detect them. */
     watch->toggled = s->method->projects ? 0 : s->problem->kernel->toggled(s->problem->work);
     if (watch->toggled)
         watch->toggled = fb_toggled_within(r);
     if (watch->toggled < 0)
         return watch->toggled;
-    int look = watch->look_at_all | watch->toggled;
-    if (watch->n_events > 0) {
-        memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
-        const int status = fb_event_values(r, s->t, s->x, watch->value);
-        if (status < 0)
-            return status;
-        for (int i = 0; i < watch->n_events; ++i)
-            look |= fb_is_event(watch->old[i], watch->value[i], watch->direction[i]);
+    if (watch->toggled && finds_singular) {
+        const int passes = fb_passes_singular_position(r);
+        if (passes != 0)
+            return passes < 0 ? passes : FB_RUN_SINGULAR;
     }
-    return look;
+    const int events = fb_events_within(r);
+    if (events < 0)
+        return events;
+    if (finds_singular)
+        fb_note_pivot(r);
+    return watch->look_at_all || events || (watch->toggled && !finds_singular) ? FB_RUN_EVENT : FB_RUN_PAUSED;
 }
 
 /* Whether the errors of derivatives have made the steps of a window collapse. */
@@ -345,6 +438,17 @@ static inline int fb_has_collapsed(fb_run *r)
     return r->observer.forward && s->n_steps - pace->marked == FB_WINDOW && fb_derivatives_collapsed(r);
 }
 
+/* Discards the last step: the run ends before it. */
+static inline void fb_discard(fb_run *r)
+{
+    fb_take_back(&r->stepper);
+    if (r->observer.forward)
+        r->observer.take_back(r->observer.forward);
+    if (r->record)
+        r->record->n -= 1;
+    r->samples.pending = 0;
+}
+
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_run_on(fb_run *r, long n)
 {
@@ -362,15 +466,70 @@ static inline int fb_run_on(fb_run *r, long n)
             return FB_RUN_FULL;
         if (fb_has_collapsed(r))
             return FB_RUN_COLLAPSED;
-        const int status = fb_observed_step(r);
+        int status = fb_observed_step(r);
+        if (status > FB_RUN_PAUSED && fb_fails_near_singular_position(r))
+            return FB_RUN_SINGULAR;
         if (status != FB_RUN_PAUSED)
             return status;
         if (r->record)
             fb_keep_step(r, r->stepper.h);
-        const int look = fb_look(r);
-        if (look != 0)
-            return look < 0 ? look : FB_RUN_EVENT;
+        status = fb_look(r);
+        if (status == FB_RUN_SINGULAR)
+            fb_discard(r);
+        if (status != FB_RUN_PAUSED)
+            return status;
     }
+}
+
+/* The segment in which the run goes on. */
+static inline void fb_set_segment(fb_run *r, const fb_segment *segment)
+{
+    fb_clock *const clock = &r->stepper.problem->clock;
+    clock->first = segment->first < segment->last ? segment->first : segment->last;
+    clock->last = segment->first < segment->last ? segment->last : segment->first;
+    r->stepper.t = segment->t;
+    r->t_bound = r->samples.until = segment->t_bound;
+}
+
+/* Goes on in a segment, from the state reached or from x; FB_RUN_OPEN if no state nearby satisfies the constraints. */
+static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_watch *const watch = &r->watch;
+    fb_set_segment(r, segment);
+    if (x) {
+        memcpy(s->x, x, (size_t)s->n * sizeof *x);
+        r->samples.pending = 1;
+        const int status = s->project ? fb_problem_project(s->problem, s->t, s->x, 0) : FB_OK;
+        if (status != FB_OK)
+            return status < 0 ? status : FB_RUN_OPEN;
+    }
+    int status = r->observer.forward ? r->observer.at_restart(s, r->observer.forward, x != NULL) : 0;
+    if (status < 0)
+        return status;
+    if (r->record && x)
+        fb_keep_step(r, 0.0);
+    status = fb_resume(s);
+    if (status == 0 && watch->n_events > 0) {
+        memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
+        status = fb_event_values(r, s->t, s->x, watch->value);
+    }
+    return status < 0 ? status : FB_RUN_PAUSED;
+}
+
+/* Ends the run at a time within the last step, whose state is the last one. There are no samples after it. */
+static inline int fb_stop_within(fb_run *r, const double t)
+{
+    fb_stepper *const s = &r->stepper;
+    double *const along = r->watch.along;
+    int status = fb_state_at(s, t, along);
+    r->samples.until = r->t_bound = t;
+    if (status == 0 && r->samples.times == NULL) {
+        status = r->observer.forward ? r->observer.at_end(s, r->observer.forward, t, along) : 0;
+        memcpy(s->x, along, (size_t)s->n * sizeof *along);
+        s->t = t;
+    }
+    return status;
 }
 
 #endif

@@ -40,7 +40,6 @@ cdef extern from "fourbar_stepper.h":
         long n_evaluations, n_steps
     int FB_PADDED(int) noexcept nogil
     size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
-    int fb_resume(fb_stepper *) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
     int fb_state_at(fb_stepper *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_stepper *) noexcept nogil
@@ -58,6 +57,7 @@ cdef extern from "fourbar_augmented.h":
     size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
 
 cdef extern from "fourbar_run.h":
+    int FB_RUN_PAUSED
     ctypedef struct fb_samples:
         const double *times
         long n_times
@@ -66,6 +66,8 @@ cdef extern from "fourbar_run.h":
         long room, n
         int pending
         double until
+    ctypedef struct fb_segment:
+        double t, t_bound, first, last
     ctypedef struct fb_watch:
         int n_events
         const int *output
@@ -83,7 +85,10 @@ cdef extern from "fourbar_run.h":
     ctypedef struct fb_observer:
         fb_forward *forward
         int (*after_step)(fb_stepper *, fb_forward *, double, double *) noexcept nogil
+        void (*take_back)(fb_forward *) noexcept nogil
         int (*at_sample)(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
+        int (*at_restart)(fb_stepper *, fb_forward *, int) noexcept nogil
+        int (*at_end)(fb_stepper *, fb_forward *, double, const double *) noexcept nogil
     ctypedef struct fb_run:
         fb_stepper stepper
         double direction, t_bound, max_step, h_abs
@@ -94,6 +99,9 @@ cdef extern from "fourbar_run.h":
     int fb_begin(fb_run *) noexcept nogil
     int fb_step(fb_run *) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
+    int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
+    int fb_stop_within(fb_run *, double) noexcept nogil
+    void fb_discard(fb_run *) noexcept nogil
     void fb_keep_step(fb_run *, double) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
 
@@ -116,6 +124,9 @@ cdef extern from "fourbar_forward.h":
         double *s_old
         double *samples
     int fb_forward_step(fb_stepper *, fb_forward *, double, double *) noexcept nogil
+    void fb_forward_take_back(fb_forward *) noexcept nogil
+    int fb_forward_restart(fb_stepper *, fb_forward *, int) noexcept nogil
+    int fb_forward_end(fb_stepper *, fb_forward *, double, const double *) noexcept nogil
     int fb_forward_sample(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
     int fb_forward_at(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_close(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
@@ -799,18 +810,13 @@ cdef class Run:
         """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
         not kept: they only make the steps short enough for derivatives."""
         _prepare_forward(&self.run.stepper, &self.forward, self.ode, directions, self.kept)
-        self.run.observer.forward, self.run.observer.after_step = &self.forward, fb_forward_step
+        self.run.observer = fb_observer(
+            forward=&self.forward, after_step=fb_forward_step, take_back=fb_forward_take_back, at_sample=NULL,
+            at_restart=fb_forward_restart, at_end=fb_forward_end)
         if directions.places:
             self.directions, self.varied, self.run.observer.at_sample = directions, [], fb_forward_sample
-        if self.run.stepper.project:
-            self._close_derivatives()
+        self.ode.check(fb_forward_restart(&self.run.stepper, &self.forward, True))
         self._make_room(self.run.samples.room)
-
-    cdef int _close_derivatives(self) except -1:
-        """Move the derivatives onto the tangent of the constraints, at the state reached."""
-        cdef fb_stepper *stepper = &self.run.stepper
-        self.ode.check(fb_forward_close(stepper, &self.forward, stepper.t, FB_LAST_ANY, stepper.x, self.forward.s))
-        return 0
 
     def keep_steps(self):
         """Also keep the steps, for `Steps`, before `begin`."""
@@ -898,37 +904,20 @@ cdef class Run:
         cdef fb_run *run = &self.run
         cdef fb_stepper *stepper = &run.stepper
         cdef cnp.ndarray state
-        cdef fb_clock *clock = &self.ode.problem.clock
+        cdef const fb_clock *clock = &self.ode.problem.clock
         cdef double before = clock.last if run.direction > 0.0 else clock.first
-        if x is not None and (run.observer.forward or run.record):
-            self._pass_jump(before, first, vector(x, stepper.n, "The state x"))
-        clock.first, clock.last = min(first, last), max(first, last)
-        stepper.t, run.t_bound = t - self.origin, t_bound - self.origin
-        self.t_begin, self.since_begin, self.t_bound = t, stepper.t, t_bound
-        run.samples.until = run.t_bound
-        if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
-            run.samples.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
+        cdef fb_segment segment = fb_segment(t=t - self.origin, t_bound=t_bound - self.origin, first=first, last=last)
         if x is not None:
             state = vector(x, stepper.n, "The state x")
-            memcpy(stepper.x, data(state), stepper.n * sizeof(double))
-            run.samples.pending = 1
-            if stepper.project and self.ode.check(
-                    fb_problem_project(stepper.problem, stepper.t, stepper.x, 0)) != FB_OK:
-                return False
-        if run.observer.forward:
-            self.forward.fsal = 0
-            if x is not None and stepper.project:
-                self._close_derivatives()
+            if run.observer.forward or run.record:
+                self._pass_jump(before, first, state)
+        self.t_begin, self.since_begin, self.t_bound = t, segment.t, t_bound
+        if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
+            run.samples.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
         if run.record:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
-            if x is not None:
-                self._make_room_for_steps()
-                fb_keep_step(run, 0.0)
-        self.ode.check(fb_resume(stepper))
-        if run.watch.n_events:
-            memcpy(run.watch.old, run.watch.value, run.watch.n_events * sizeof(double))
-            self.ode.check(fb_event_values(run, stepper.t, stepper.x, run.watch.value))
-        return True
+            self._make_room_for_steps()
+        return self.ode.check(fb_enter(run, &segment, NULL if x is None else data(state))) == FB_RUN_PAUSED
 
     cdef int _pass_jump(self, double before, double after, cnp.ndarray x) except -1:
         """The derivatives after a jump of the speeds to a state x."""
@@ -1006,27 +995,13 @@ cdef class Run:
 
     def stop_within(self, double share):
         """End the run at a fraction of the last step: the state there is the last one, with no samples after it."""
-        cdef cnp.ndarray x = self.state_within(share), s
-        t = self.time_within(share)
-        self.run.samples.until = self.run.t_bound = self._within(share)
+        cdef double t = self.time_within(share)
+        self.ode.check(fb_stop_within(&self.run, self._within(share)))
         self.t_bound = t
-        if self.run.observer.forward and self.run.samples.times == NULL:
-            s = new_array(self.forward.size)
-            self.ode.check(fb_forward_at(
-                &self.run.stepper, &self.forward, self.run.samples.until, FB_LAST_ANY, data(x), data(s)))
-            memcpy(self.forward.s, data(s), self.forward.size * sizeof(double))
-        if self.run.samples.times == NULL:
-            memcpy(self.run.stepper.x, data(x), self.run.stepper.n * sizeof(double))
-            self.run.stepper.t = self.run.samples.until
 
     def discard(self):
         """Discard the last step; the run ends before it."""
-        memcpy(self.run.stepper.x, self.run.stepper.x_old, self.run.stepper.n * sizeof(double))
-        if self.run.observer.forward:
-            memcpy(self.forward.s, self.forward.s_old, self.forward.size * sizeof(double))
-        if self.run.record:
-            self.steps.n -= 1
-        self.run.stepper.t, self.run.samples.pending = self.run.stepper.t_old, 0
+        fb_discard(&self.run)
 
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""

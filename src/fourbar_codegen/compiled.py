@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, Literal, overload
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, flag
+from fourbar_codegen.arguments import Values, flag, one_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
 from fourbar_codegen.runtime.integrator import Ode, Stepper
-from fourbar_codegen.simulation.options import RunOptions
+from fourbar_codegen.simulation.options import METHODS, RunOptions
 from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:
@@ -780,11 +780,12 @@ class CompiledModel(Kernel):
         traces: Sequence[str] | None = None,
         watch: Sequence[tuple[str, str]] | None = None,
         height: int = 900,
+        method: str = "DOP853",
     ) -> Page:
         """A live page: one HTML file in which the mechanism is simulated anew while a slider moves.
 
-        It works offline and without Python: it contains the equations of motion, loop closure and DOP853 with
-        projection, compiled to WebAssembly. Sliders change parameters, initial values, inputs and the time span; a link
+        It works offline and without Python: it contains the equations of motion, loop closure and a method with
+        step control and projection, compiled to WebAssembly. Sliders change parameters, initial values, inputs and the time span; a link
         carries all settings. Scripts call ``window.fourbar.simulate``. Needs the extra ``page``, or clang with wasm-ld.
 
         Parameters
@@ -806,6 +807,8 @@ class CompiledModel(Kernel):
             magnitude", "range", "mean", "last") and the name of a quantity, such as ``("range", "q1")``.
         height : int, optional
             Height in a notebook, pixels.
+        method : {"DOP853", "RK45"}, optional
+            Of its runs.
 
         Returns
         -------
@@ -831,7 +834,10 @@ class CompiledModel(Kernel):
         from fourbar_codegen.presentation.live_page import TOLERANCE, check_inputs, live_page
 
         check_inputs(self, inputs)
-        run = self.simulate(t_span, x0, parameters=parameters, inputs=inputs, rtol=TOLERANCE, atol=TOLERANCE)
+        one_of(method, METHODS, "method for pages")
+        run = self.simulate(
+            t_span, x0, method=method, parameters=parameters, inputs=inputs, rtol=TOLERANCE, atol=TOLERANCE
+        )
         return live_page(
             run,
             self._page_module,

@@ -19,7 +19,7 @@ from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.roles import VECTORS
+from fourbar_codegen.roles import VECTORS, Method
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -90,11 +90,17 @@ def export_c(model: Model, folder: str | Path) -> Path:
 
 
 def export_fmu(
-    model: Model, path: str | Path, *, fmi: int = 3, platforms: Sequence[str] = (), quantities: Sequence[str] = ()
+    model: Model,
+    path: str | Path,
+    *,
+    fmi: int = 3,
+    platforms: Sequence[str] = (),
+    quantities: Sequence[str] = (),
+    method: str = "DOP853",
 ) -> Path:
     """Write a model as a Functional Mock-up Unit of FMI 3.0 or 2.0, for model exchange and co-simulation.
 
-    It contains a binary for machines of this kind, and its sources. Co-simulation steps inside by DOP853, projected
+    It contains a binary for machines of this kind, and its sources. Co-simulation steps inside by `method`, projected
     onto the constraints; in model exchange the importer integrates, and the FMU asks for an event when the constraints
     are violated, at which it projects. The loops are closed at the end of the initialization: start values of dependent
     coordinates are guesses. Inputs with an expression of time follow it until they are set.
@@ -112,6 +118,8 @@ def export_fmu(
     quantities : sequence of str, optional
         Vectors that are outputs as well, by components such as ``momentum_x``: "momentum", "angular_momentum" and
         "spin", see `CompiledModel.momentum`.
+    method : {"DOP853", "RK45"}, optional
+        Of co-simulation, with step control.
 
     Returns
     -------
@@ -122,7 +130,8 @@ def export_fmu(
     ------
     ModelError
         As for `export_c`, but names of states, parameters, inputs and outputs may have all characters that XML can
-        have; if two variables have the same name; or if there is no such version, platform or quantity.
+        have; if two variables have the same name; or if there is no such version, platform, quantity or
+        method.
     BuildError
         If there is no C compiler, or no zig for other platforms; if it fails, with its output; or if the file cannot be
         written.
@@ -151,6 +160,7 @@ def export_fmu(
     wanted = listed(quantities, f"quantities= is a sequence of {', '.join(names)}")
     for each in wanted:
         one_of(each, names, "quantity")
+    one_of(method, [each.name for each in Method], "method")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout
@@ -174,7 +184,7 @@ def export_fmu(
         name, files = layout.name, _library_files(generated, progress, FMU_HEADERS)
         variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
         sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
-        sources[f"{name}_fmu.c"] = fmu_source(fmi, layout)
+        sources[f"{name}_fmu.c"] = fmu_source(fmi, layout, method)
         progress.stage("compiling")
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)

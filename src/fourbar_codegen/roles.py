@@ -13,6 +13,7 @@ __all__ = [
     "QUANTITIES",
     "VECTOR",
     "VECTORS",
+    "Method",
     "Needs",
     "Quantity",
     "Role",
@@ -59,6 +60,13 @@ class Status(_Enum):
         24,
         "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
     )
+
+
+class Method(_Enum):
+    """Explicit Runge-Kutta methods with step control; the comment is for users of a C library."""
+
+    DOP853 = 0, "of order 8(5, 3), by Hairer, Norsett and Wanner"
+    RK45 = 1, "of order 5(4), by Dormand and Prince"
 
 
 class StopReason(_Enum):
@@ -220,13 +228,14 @@ def enums_text() -> str:
     texts += [f"#define FB_{bound.name} {float(bound)!r} /* {bound.comment} */" for bound in Threshold]
     kinds = (
         (Status, "FB_STATUS", "FB"),
+        (Method, "FB_METHOD", "FB_METHOD"),
         (StopReason, "FB_RUN", "FB_RUN"),
         (Role, "FB_ROLE", "FB"),
         (Needs, "FB_NEEDS", "FB_NEEDS"),
     )
     for kind, name, prefix in kinds:
         rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
-        rows += [f"    FB_N_ROLES = {len(Role)}"] if kind is Role else []
+        rows += [f"    FB_N_{name.removeprefix('FB_')}S = {len(kind)}"] if kind in {Method, Role} else []
         texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
     cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)
     texts.append(f"""\

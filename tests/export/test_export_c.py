@@ -23,6 +23,7 @@ from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
+from fourbar_codegen.roles import Method, Status
 
 
 @pytest.fixture(scope="module")
@@ -224,6 +225,31 @@ def test_c_library_steps_and_runs_as_stepper_and_simulate(exported, name):
     run = compiled.simulate((0.0, 0.5), x, inputs=inputs, t_eval=times, rtol=1e-10, atol=1e-10)
     assert (status == 0) == run.success, library.message(status)
     np.testing.assert_allclose(states[: run.y.shape[1]], run.y.T, rtol=1e-8, atol=1e-8)  # a hundred times the tolerance
+
+
+@pytest.mark.parametrize("method", Method)
+def test_c_library_run_by_each_method_is_that_of_simulate(exported, method):
+    """With the same steps: at a tolerance of 1e-4 other ones would differ by that. Rounding errors differ by fused
+    instructions; they grow with coefficients up to 50, and with the motion.
+    """
+    compiled, library = exported("four_bar")
+    mechanism, x = library.new(), compiled.initial_state()
+    mechanism.x[:], mechanism.method = x, method
+    times = np.linspace(0.0, 2.0, 21)
+    states = np.zeros((21, compiled.n_x))
+    assert library.call("simulate", mechanism, 2.0, 1e-4, 1e-4, times, 21, states) == 0
+    run = compiled.simulate((0.0, 2.0), x, method=method.name, t_eval=times, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(states, run.y.T, rtol=1e-11, atol=1e-11)
+
+
+def test_c_library_without_such_a_method_says_so(exported):
+    _, library = exported("four_bar")
+    for method in (-1, len(Method)):
+        mechanism = library.new()
+        mechanism.method = method
+        status = library.call("simulate", mechanism, 1.0, 1e-4, 1e-4, None, 0, None)
+        assert library.message(status) == Status.INVALID_ARGUMENT.comment
+        assert mechanism.t == 0.0
 
 
 def test_c_library_steps_converge_with_their_order(exported):

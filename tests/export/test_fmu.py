@@ -21,6 +21,7 @@ from harness.programs import prepare_zig, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.building.compiler import cross_compiler
+from fourbar_codegen.roles import Method
 
 pytestmark = pytest.mark.slow
 
@@ -116,6 +117,27 @@ def test_fmu_in_co_simulation_gives_the_motion_of_simulate(fmus, fmi, four_bar):
     rates = [four_bar.rhs(t, x)[3] for t, x in zip(run.t, run.y.T, strict=True)]
     np.testing.assert_allclose(found["der(u1)"], rates, rtol=0, atol=1e-6)
     np.testing.assert_allclose(found["P2.x"], run.points["P2"][0], rtol=0, atol=1e-8)
+
+
+@pytest.mark.parametrize("method", [each.name for each in Method])
+def test_fmu_in_co_simulation_steps_by_the_method_of_export(tmp_path, method):
+    """Each communication step is a run of `simulate`: at a tolerance of 1e-4 other methods differ by that."""
+    model = fb.models.four_bar()
+    path = str(fb.export_fmu(model, tmp_path / "four_bar.fmu", method=method))
+    compiled = fb.compile_model(model)
+    found = fmpy.simulate_fmu(
+        path, fmi_type="CoSimulation", stop_time=1.0, output_interval=0.25, relative_tolerance=1e-4,
+        output=[*compiled.states],
+    )  # fmt: skip
+    x = compiled.initial_state()
+    for begin, row in zip((0.0, 0.25, 0.5, 0.75), found[1:], strict=True):
+        x = compiled.simulate((begin, begin + 0.25), x, method=method, rtol=1e-4, atol=1e-4).y[:, -1]
+        np.testing.assert_allclose([row[name] for name in compiled.states], x, rtol=0, atol=1e-12)
+
+
+def test_fmu_of_an_unknown_method_is_refused(tmp_path):
+    with pytest.raises(fb.ModelError, match="method .*Euler.*DOP853"):
+        fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", method="Euler")
 
 
 @BOTH

@@ -33,6 +33,7 @@ class Library:
                 ("slope", double * max(n["r"], 1)),
                 ("since", double),
                 ("held", ctypes.c_int * max(n["r"], 1)),
+                ("method", ctypes.c_int),
                 ("memory", double * (int(re.search(r"bytes\[(\d+)\]", header)[1]) // 8)),
             ]
 

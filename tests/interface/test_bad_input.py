@@ -307,6 +307,7 @@ TABLE = {
         ({"ranges": ["l2"]}, "ranges= is a mapping"),
         ({"ranges": {"l9": (0, 1)}}, "There is no parameter or initial value 'l9'"),
         ({"height": 0}, "height must be a positive number of pixels"),
+        ({"method": "Radau"}, "There is no method for pages 'Radau'"),
         ({"t_span": (0.0, np.nan)}, "t_span"),
     ],
     "load": [

@@ -146,6 +146,22 @@ def test_page_given_inputs_of_all_kinds_by_scripts_gives_the_run_of_simulate(ope
     np.testing.assert_allclose(found["y"], y, rtol=0, atol=1e-9)
 
 
+def test_page_runs_by_the_method_asked_for(opened, four_bar):
+    """The method of the page, and that of a script; at a tolerance of 1e-4 others differ by that."""
+    page = opened(four_bar.page(method="RK45", t_span=(0.0, 1.0)))
+    times = np.linspace(0.0, 1.0, 11)
+    for method, given in (("RK45", {}), ("DOP853", {"method": "DOP853"})):
+        found = simulated(page, times=times.tolist(), rtol=1e-4, atol=1e-4, **given)
+        run = four_bar.simulate((0.0, 1.0), method=method, t_eval=times, rtol=1e-4, atol=1e-4)
+        np.testing.assert_allclose(found["y"], run.y, rtol=0, atol=1e-10)
+        assert found["nfev"] == run.nfev
+    place = {"fb": fb}
+    exec(page.evaluate("pythonLines()"), place)
+    assert place["run"].settings["method"] == "RK45"
+    with pytest.raises(Exception, match="no method .*Euler.*DOP853"):
+        simulated(page, method="Euler")
+
+
 def test_page_with_a_held_table_keeps_it_in_runs_scripts_and_links(opened, four_bar):
     """A table that is held: in the run, in scripts, in lines of Python, in a link; and what takes its place."""
     times = 0.01 * np.arange(150)

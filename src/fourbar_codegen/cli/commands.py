@@ -319,14 +319,16 @@ def report(output: Path, **run: Any) -> None:
 def page(
     output: Path,
     model: str,
+    *,
     parameters: dict[str, float],
     initial: dict[str, str],
     inputs: dict[str, str],
     t_span: tuple[float, float],
+    method: str,
 ) -> None:
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     x0 = initial_state(compiled, values, t_span[0], parameters, sources)
-    compiled.page(output, t_span=t_span, x0=x0, parameters=parameters, inputs=sources)
+    compiled.page(output, t_span=t_span, x0=x0, parameters=parameters, inputs=sources, method=method)
     click.echo(f"Written: {output}")
 
 

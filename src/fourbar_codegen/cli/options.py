@@ -12,6 +12,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
+from fourbar_codegen.roles import Method
 
 if TYPE_CHECKING:
     import numpy as np
@@ -31,8 +32,8 @@ __all__ = [
     "with_options",
 ]
 
-METHODS = ("DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
-SWEEP_METHODS = METHODS[:2]
+SWEEP_METHODS = tuple(method.name for method in Method)
+METHODS = (*SWEEP_METHODS, "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 
 MAX_MEMBERS = 1_000_000
 """Largest number of members of a sweep."""
@@ -166,7 +167,7 @@ _MODEL_AND_PARAMETERS = [
     ),
 ]  # fmt: skip
 
-PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER)]
+PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER), _method(SWEEP_METHODS)]
 
 RUN_OPTIONS = [
     *_MODEL_AND_PARAMETERS,

@@ -14,7 +14,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
-from fourbar_codegen.roles import QUANTITIES, Role, Status
+from fourbar_codegen.roles import QUANTITIES, Method, Role, Status
 
 __all__ = ["FOLDER", "HEADERS", "library_texts"]
 
@@ -129,6 +129,10 @@ enum ${name}_sizes {
 /* Statuses; ${name}_message explains them. */
 enum ${name}_statuses {
 $statuses};
+
+/* Methods of ${name}_simulate, with step control. */
+enum ${name}_methods {
+$methods};
 $entries
 struct $name {
 $members    union {
@@ -156,7 +160,7 @@ int ${name}_close(struct $name *model);
  */
 int ${name}_step(struct $name *model, double h, int order);
 
-/* A run to t_end by the method DOP853 with step control, projected onto the constraints after each step. The states at
+/* A run to t_end by the method chosen, with step control, projected onto the constraints after each step. The states at
  * n_times times between, in the order of the run, are stored in rows of `states`. On failure the mechanism is where the
  * run ended; rows of later times are not written. */
 int ${name}_simulate(struct $name *model, double t_end, double rtol, double atol, const double *times, long n_times,
@@ -358,6 +362,7 @@ def _members(name: str, n_x: int, n_p: int, n_r: int) -> str:
             (f"double slope[{n_r}]", "by which held inputs change with time, from `since` on; 0 at first"),
             ("double since", ""),
             (f"int held[{n_r}]", "whether each input is held, or follows its expression of time"),
+            ("int method", f"of {name}_simulate, one of {name}_methods"),
         )
     )
 
@@ -383,6 +388,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         n_points=sizes.n_points,
         n_dependent_coordinates=layout.n_dependent_coordinates,
         n_dependent_speeds=layout.n_dependent_speeds,
+        methods=_methods(name),
         statuses=",\n".join(f"    {name}_{status.name.lower()} = {status.value}" for status in Status) + "\n",
         entries=_entries(name, names, layout),
         members=_members(name, n_x, max(sizes.n_p, 1), max(sizes.n_r, 1)),
@@ -391,6 +397,13 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         left_out=_left_out(layout),
         points=_points(layout),
         quantities=_declared_quantities(name),
+    )
+
+
+def _methods(name: str) -> str:
+    last = len(Method) - 1
+    return "".join(
+        f"    {name}_{each.name.lower()} = {each.value}{',' * (each < last)} /* {each.comment} */\n" for each in Method
     )
 
 

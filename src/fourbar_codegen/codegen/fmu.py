@@ -348,7 +348,7 @@ static int fmu_fill(struct {name} *model, const int group, double *results)
 }}"""
 
 
-def fmu_source(fmi: int, layout: Layout) -> str:
+def fmu_source(fmi: int, layout: Layout, method: str) -> str:
     """The source of an FMU besides those of its library."""
     name = layout.name
     has_rates = ", ".join(str(int(not e.order and e.of in layout.has_rates)) for e in layout.inputs) or "0"
@@ -361,6 +361,7 @@ def fmu_source(fmi: int, layout: Layout) -> str:
 #include "{name}.h"
 
 static const char fmu_token[] = "{token_of(layout)}";
+static const int fmu_method = {name}_{method.lower()}; /* of co-simulation */
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
 {_results(layout)}

@@ -1,6 +1,6 @@
 // Runs of a model that is compiled to WebAssembly, in a worker where there is one; fourbar_page.h has its functions.
 
-// Takes requests {p, x, dependent, angle, signals, tables, begin, end, rtol, atol, times, from}: parameters, an initial
+// Takes requests {p, x, dependent, angle, signals, tables, begin, end, method, rtol, atol, times, from}: parameters, an initial
 // state of which some values are dependent, and guesses, and some are angles, and six numbers for each input, with the
 // times and values of those that are held; `from` is a closed state {p, x, dependent, angle, signals, tables, begin}
 // with other values.
@@ -69,7 +69,7 @@ const makeEngine = async bytes => {
     const closed = close(to, from.x), again = close(to, near(closed.x));
     return {...again.status === OK ? again : closed, lost: true};
   };
-  const run = ({from, begin, end, rtol, atol, times, ...point}) => {
+  const run = ({from, begin, end, method, rtol, atol, times, ...point}) => {
     const began = performance.now(), n = times.length, width = point.x.length;
     const to = {...point, begin};
     const start = {...from, ...close(from, from.x)}, followed = follow(start, to);
@@ -82,7 +82,7 @@ const makeEngine = async bytes => {
       reserve(point.tables.length + n * (1 + width + result.length));
       const at = base + 8 * point.tables.length, states = at + 8 * n, rows = states + 8 * n * width;
       array(at, n).set(times);
-      result.status = wasm.simulate(begin, end, rtol, atol, at, n, states);
+      result.status = wasm.simulate(method, begin, end, rtol, atol, at, n, states);
       result.reached = wasm.time_reached();
       result.evaluations = wasm.evaluations_of_run();
       result.n = wasm.states_stored();

@@ -148,7 +148,8 @@ const pythonLines = () => {
   const state = [values(0, q, i => !dependent[i]), values(q, q + u, i => !dependent[i]), `t=${number(t_span[0])}`,
     ...dependent.slice(0, q).some(Boolean) ? [`guess=${values(0, q, i => dependent[i])}`] : [],
     ...states.length > q + u ? [`auxiliary_states=${values(q + u, states.length, () => true)}`] : [], ...given];
-  const run = [`(${t_span.map(number).join(", ")})`, "x0", ...given, `rtol=${data.rtol}`, `atol=${data.atol}`];
+  const method = data.method === "DOP853" ? [] : [`method="${data.method}"`];
+  const run = [`(${t_span.map(number).join(", ")})`, "x0", ...method, ...given, `rtol=${data.rtol}`, `atol=${data.atol}`];
   const called = (name, words) => [`${name}(`, ...words.map(word => `    ${word},`), ")"];
   if (notes.length) return [...notes, ""].join("\n");
   return [...sources.some(([, text]) => text.includes("np.")) ? ["import numpy as np", ""] : [],
@@ -193,8 +194,10 @@ const MOST_TIMES = 100000;
 const simulate = async (options = {}) => {
   if (typeof options !== "object" || options === null) throw new TypeError(`Options are an object, not ${options}.`);
   const {parameters = {}, initial = {}, inputs = {}, t_span = data.t_span, times = null,
-    rtol = data.rtol, atol = data.atol, mode = 0} = options;
-  checkNames(options, ["parameters", "initial", "inputs", "t_span", "times", "rtol", "atol", "mode"], "option");
+    method = data.method, rtol = data.rtol, atol = data.atol, mode = 0} = options;
+  checkNames(options, ["parameters", "initial", "inputs", "t_span", "times", "method", "rtol", "atol", "mode"],
+    "option");
+  checkNames({[method]: 0}, Object.keys(data.methods), "method");
   for (const [name, given] of Object.entries({parameters, initial, inputs})) {
     if (typeof given !== "object" || given === null) throw new TypeError(`${name} is an object, not ${given}.`);
   }
@@ -229,7 +232,8 @@ const simulate = async (options = {}) => {
   }
   scriptEngine ??= engineCaller(data.wasm);
   const from = guesses ? {...pointOf(chosen), x: guess} : beginningOf(mode);
-  const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), rtol, atol});
+  const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), method: data.methods[method],
+    rtol, atol});
   return {t: Array.from(at.subarray(0, run.n)), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
     success: run.status === 0, nfev: run.evaluations,
     message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.message};

@@ -29,7 +29,7 @@ from fourbar_codegen.presentation.html_page import (
     scene_data,
 )
 from fourbar_codegen.presentation.scene import Scene, known_points, scene
-from fourbar_codegen.roles import VECTORS
+from fourbar_codegen.roles import VECTORS, Method
 from fourbar_codegen.tables import Page
 
 if TYPE_CHECKING:
@@ -155,6 +155,8 @@ def _text(
         "frames": {"rate": FRAMES_PER_SECOND, "least": MIN_FRAMES, "most": MAX_FRAMES},
         "arrow": ARROW,
         "t_span": [float(time) for time in run.settings["t_span"]],
+        "methods": {method.name: int(method) for method in Method},
+        "method": run.settings["method"],
         "rtol": run.settings["rtol"],
         "atol": run.settings["atol"],
         "columns": names,

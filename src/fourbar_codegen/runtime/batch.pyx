@@ -224,12 +224,12 @@ cdef class Jacobians:
 
 @cython.final
 cdef class Members:
-    """Runs of RK45 or DOP853, a run in each lane; arrays are of double and contiguous.
+    """Runs of a method of `Method`, a run in each lane; arrays are of double and contiguous.
 
     Parameters
     ----------
     evaluator : Evaluator
-    method : {"RK45", "DOP853"}
+    method : str
     t, t_bound : float
         Beginning and end.
     x : ndarray, shape (n, n_x)

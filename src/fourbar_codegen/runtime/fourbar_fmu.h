@@ -1,7 +1,7 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by fourbar_fmi2.h or fourbar_fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, fmu_token, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that are evaluated
+ * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that are evaluated
  * at once by fmu_fill, and end before the numbers in fmu_ends. Value references are numbers in this order: time,
  * states, their derivatives, parameters, inputs, results.
  *
@@ -144,6 +144,7 @@ static void fmu_reset(fmu *f)
     memset(&f->state, 0, sizeof f->state);
     f->state.is_cosimulation = is_cosimulation;
     FB_PUBLIC(init)(&f->state.model);
+    f->state.model.method = fmu_method;
     memcpy(f->state.given, f->state.model.x, sizeof f->state.given);
     f->state.stop = INFINITY;
     for (int k = 0; k < N_R; ++k) /* inputs without an expression start at 0, as the description says */

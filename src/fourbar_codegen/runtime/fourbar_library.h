@@ -49,6 +49,7 @@ struct FB_MODEL {
     double t, x[N_X], p[FB_AT_LEAST_1(N_P)], r[FB_AT_LEAST_1(N_R)];
     double slope[FB_AT_LEAST_1(N_R)], since;
     int held[FB_AT_LEAST_1(N_R)];
+    int method;
     union {
         double alignment;
         unsigned char bytes[sizeof(fb_own)];
@@ -122,16 +123,15 @@ static double least_pivot(fb_stepper *stepper, const double t, const double *x)
     return N_RANK == 0 ? 1.0 : fb_least_pivot(t, x, problem->constants, problem->inputs, problem->work);
 }
 
-/* The run at the present state, by a method of order 4 or 8. */
-static fb_run *run_of(struct FB_MODEL *model, const int order)
+/* The run at the present state. */
+static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
 {
     fb_own *const own = own_of(model);
     fb_run *const run = &own->run;
     fb_stepper *const stepper = &run->stepper;
     stepper->problem = problem_of(model);
     stepper->project = N_C + N_I > 0;
-    run->watch.along =
-        own->rows + fb_place_stepper(stepper, &fb_runge_kutta, order == 8 ? &fb_dop853 : &fb_rk4, N_X, own->rows);
+    run->watch.along = own->rows + fb_place_stepper(stepper, &fb_runge_kutta, tableau, N_X, own->rows);
     stepper->rtol = own->rtol;
     stepper->atol = own->atol;
     own->work.largest_pivot = 0.0; /* no step was taken yet */
@@ -363,7 +363,7 @@ void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval)
 
 int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
 {
-    fb_run *const run = run_of(model, order == 8 ? 8 : 4);
+    fb_run *const run = run_of(model, order == 8 ? &fb_dop853 : &fb_rk4);
     if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
         return FB_INVALID_ARGUMENT;
     if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->stepper.problem, model->t, model->t + h))
@@ -387,7 +387,9 @@ static int is_run(const struct FB_MODEL *model, const double t_end, const double
                   const double *states)
 {
     const double begin = model->t;
-    if (!isfinite(begin) || !isfinite(t_end) || n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
+    if (model->method < 0 || model->method >= FB_N_METHODS || !isfinite(begin) || !isfinite(t_end))
+        return 0;
+    if (n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
         return 0;
     for (long i = 0; i < n_times; ++i)
         if (!(times[i] >= fb_min(begin, t_end) && times[i] <= fb_max(begin, t_end)) ||
@@ -410,11 +412,11 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
 {
     fb_own *const own = own_of(model);
     own->clock = fb_all_time;
-    fb_run *const run = run_of(model, 8);
-    fb_stepper *const stepper = &run->stepper;
-    const double begin = model->t;
     if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0) || !(atol > 0.0))
         return FB_INVALID_ARGUMENT;
+    fb_run *const run = run_of(model, fb_tableaus[model->method]);
+    fb_stepper *const stepper = &run->stepper;
+    const double begin = model->t;
     if (N_MOTION_BREAKPOINTS > 0 && jumps_between(stepper->problem, begin, t_end))
         return FB_SPEEDS_JUMP;
     for (int i = 0; i < N_X; ++i) {

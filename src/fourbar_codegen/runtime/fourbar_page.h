@@ -222,9 +222,10 @@ int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
 
 /* A run from the present state, with the states at n times in rows. Where it fails, `time_reached` is where it ended.
  */
-int FB_EXPORT(simulate)(const double begin, const double end, const double rtol, const double atol, const double *times,
-                        const long n, double *states)
+int FB_EXPORT(simulate)(const int method, const double begin, const double end, const double rtol, const double atol,
+                        const double *times, const long n, double *states)
 {
+    mechanism.method = method;
     mechanism.t = begin;
     own_of(&mechanism)->run.samples.next_time = own_of(&mechanism)->run.stepper.n_evaluations =
         0; /* if it does not begin */

@@ -9,6 +9,8 @@
 #ifndef FOURBAR_TABLEAU_H
 #define FOURBAR_TABLEAU_H
 
+#include "fourbar_enums.h"
+
 #include <stddef.h>
 
 typedef struct fb_tableau {
@@ -163,6 +165,9 @@ static const fb_tableau fb_dop853 = {.n_stages = 12,
                                      .hermite = 1,
                                      .n_dense = 4,
                                      .dense = fb_dop853_dense};
+
+static const fb_tableau *const fb_tableaus[FB_N_METHODS] = {[FB_METHOD_DOP853] = &fb_dop853,
+                                                            [FB_METHOD_RK45] = &fb_rk45};
 
 static const fb_tableau fb_rk4 = {.n_stages = 4, .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
 

@@ -15,7 +15,8 @@ cdef extern from "fourbar_tableau.h":
         const double *error
         double order
         int n_extra, hermite, n_dense
-    const fb_tableau fb_rk4, fb_rk45, fb_dop853, fb_trapezoid
+    const fb_tableau fb_rk4, fb_trapezoid
+    const fb_tableau *fb_tableaus[]
 
 
 cdef const fb_tableau *tableau_of(str method) except NULL

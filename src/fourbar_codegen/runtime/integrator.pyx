@@ -16,7 +16,7 @@ from fourbar_codegen.runtime.evaluator cimport (
 import numpy as np
 
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.roles import StopReason
+from fourbar_codegen.roles import Method, StopReason
 
 cnp.import_array()
 
@@ -603,15 +603,12 @@ cdef cnp.ndarray _place(fb_stepper *stepper, Ode ode, const fb_method *method, c
     return memory
 
 
+cdef dict _METHODS = {method.name: int(method) for method in Method}
+
+
 cdef const fb_tableau *tableau_of(str method) except NULL:
     """The coefficients of a method in C."""
-    if method == "RK45":
-        return &fb_rk45
-    if method == "DOP853":
-        return &fb_dop853
-    if method == "ALI3P":
-        return &fb_trapezoid
-    raise ValueError(f"no method in C: {method}")
+    return &fb_trapezoid if method == "ALI3P" else fb_tableaus[<int>_METHODS[method]]
 
 
 cdef const double *_fill(double *to, values, int n) except NULL:
@@ -727,7 +724,8 @@ cdef class Run:
     ----------
     ode : Ode
         The right-hand side; nothing else may call it during the run.
-    method : {"RK45", "DOP853", "ALI3P"}
+    method : str
+        Of `Method`, or "ALI3P".
     t, t_bound : float
         Beginning and end.
     x : array_like, shape (n_x,)
@@ -1067,7 +1065,8 @@ cdef class Steps:
     Parameters
     ----------
     ode : Ode
-    method : {"RK45", "DOP853"}
+    method : str
+        Of `Method`.
     project : bool
     origin : float
         The beginning of the run, to which times are relative.

@@ -699,7 +699,7 @@ class CompiledModel(Kernel):
             The longest step, s; required for ALI3P. It must exceed the rounding error of the simulated time.
         max_steps : int, "auto" or None, optional
             The largest number of steps; a run ends after them, with the states up to there. None is no limit. By
-            default 1,000,000 for the methods in C (DOP853, RK45, ALI3P) and 100,000 for the others, or ten times the
+            default 1,000,000 for the methods of `ensemble` and ALI3P, and 100,000 for the others, or ten times the
             number that `max_step` requires, if that is more.
         formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
             For IDA; the first is the default. It selects what satisfies the constraints in each step: positions and
@@ -712,8 +712,8 @@ class CompiledModel(Kernel):
         sensitivities : sequence of str or symbols, optional
             Parameters; independent coordinates, speeds and auxiliary states, at the beginning; and inputs given as
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
-            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps of DOP853 and RK45 are
-            differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
+            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps, of the methods
+            of `ensemble`, are differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
             states do, with ten times the relative tolerances; `atol` counts only for rounding errors. After each
             projection they are moved onto the constraints' tangent; what that leaves out is proportional to the
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
@@ -725,8 +725,8 @@ class CompiledModel(Kernel):
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
-            Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853 and RK45. Their
-            lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters and
+            Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For the methods of `ensemble`.
+            Their lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters and
             inputs.
 
         Returns
@@ -784,9 +784,10 @@ class CompiledModel(Kernel):
     ) -> Page:
         """A live page: one HTML file in which the mechanism is simulated anew while a slider moves.
 
-        It works offline and without Python: it contains the equations of motion, loop closure and a method with
-        step control and projection, compiled to WebAssembly. Sliders change parameters, initial values, inputs and the time span; a link
-        carries all settings. Scripts call ``window.fourbar.simulate``. Needs the extra ``page``, or clang with wasm-ld.
+        It works offline and without Python: it contains the equations of motion, loop closure and a method with step
+        control and projection, compiled to WebAssembly. Sliders change parameters, initial values, inputs and the time
+        span; a link carries all settings. Scripts call ``window.fourbar.simulate``. Needs the extra ``page``, or clang
+        with wasm-ld.
 
         Parameters
         ----------
@@ -807,8 +808,8 @@ class CompiledModel(Kernel):
             magnitude", "range", "mean", "last") and the name of a quantity, such as ``("range", "q1")``.
         height : int, optional
             Height in a notebook, pixels.
-        method : {"DOP853", "RK45"}, optional
-            Of its runs.
+        method : str, optional
+            Of its runs: an explicit one with step control, as for `ensemble`.
 
         Returns
         -------

@@ -118,8 +118,8 @@ def export_fmu(
     quantities : sequence of str, optional
         Vectors that are outputs as well, by components such as ``momentum_x``: "momentum", "angular_momentum" and
         "spin", see `CompiledModel.momentum`.
-    method : {"DOP853", "RK45"}, optional
-        Of co-simulation, with step control.
+    method : str, optional
+        Of co-simulation: an explicit one with step control, as for `CompiledModel.ensemble`.
 
     Returns
     -------

@@ -136,7 +136,7 @@ def test_fmu_in_co_simulation_steps_by_the_method_of_export(tmp_path, method):
 
 
 def test_fmu_of_an_unknown_method_is_refused(tmp_path):
-    with pytest.raises(fb.ModelError, match="method .*Euler.*DOP853"):
+    with pytest.raises(fb.ModelError, match=r"method .*Euler.*DOP853"):
         fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", method="Euler")
 
 

@@ -158,7 +158,7 @@ def test_page_runs_by_the_method_asked_for(opened, four_bar):
     place = {"fb": fb}
     exec(page.evaluate("pythonLines()"), place)
     assert place["run"].settings["method"] == "RK45"
-    with pytest.raises(Exception, match="no method .*Euler.*DOP853"):
+    with pytest.raises(Exception, match=r"no method .*Euler.*DOP853"):
         simulated(page, method="Euler")
 
 

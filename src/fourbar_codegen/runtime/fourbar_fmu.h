@@ -1,9 +1,9 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by fourbar_fmi2.h or fourbar_fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that are evaluated
- * at once by fmu_fill, and end before the numbers in fmu_ends. Value references are numbers in this order: time,
- * states, their derivatives, parameters, inputs, results.
+ * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that
+ * are evaluated at once by fmu_fill, and end before the numbers in fmu_ends. Value references are numbers in this
+ * order: time, states, their derivatives, parameters, inputs, results.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
  */

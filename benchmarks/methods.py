@@ -47,6 +47,7 @@ PERTURBATION = 1e-8  # of each entry of a state
 METHODS: dict[str, dict[str, Any]] = {
     "DOP853": {},
     "RK45": {},
+    "Tsit5": {},
     "DOP853, Baumgarte": {"method": "DOP853", "constraints": "baumgarte"},
     "ALI3P": {},
     "Radau": {},
@@ -57,6 +58,7 @@ METHODS: dict[str, dict[str, Any]] = {
     "IDA, index 1": {"method": "IDA", "formulation": "index-1"},
     "IDA, index 3": {"method": "IDA", "formulation": "index-3"},
 }
+EXPLICIT = ("DOP853", "RK45", "Tsit5")
 EXACT: dict[str, Any] = {"method": "DOP853", "rtol": 1e-12, "atol": 1e-12}
 
 
@@ -230,13 +232,36 @@ def tables(
     return "\n".join([*lines, *text])
 
 
+def explicit(motions: list[Case], rounds: int) -> str:
+    """A table of times and errors of the explicit methods, measured alternately at each tolerance."""
+    lines = [
+        "| motion | rtol = atol |" + "".join(f" {name} | error |" for name in EXPLICIT),
+        "|---|---|" + "---|---|" * len(EXPLICIT),
+    ]
+    for case in motions:
+        for tolerance in TOLERANCES[1:7]:
+            runs = [partial(case.run, method=name, rtol=tolerance, atol=tolerance) for name in EXPLICIT]
+            medians = compare(*(call(run) for run in runs), rounds=rounds)
+            errors = [qualities(case, run)["error"] for run in runs]
+            cells = "".join(f" {1e3 * t:.3g} ms | {e:.1e} |" for t, e in zip(medians, errors, strict=True))
+            lines.append(f"| {case.name} | {tolerance:.0e} |{cells}")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("results/methods.json"), help="where to write JSON")
     parser.add_argument("--docs", action="store_true", help="write the tables into docs/methods.md, the plot beside it")
+    parser.add_argument("--explicit", action="store_true", help="compare explicit methods only, for docs/methods.md")
     parser.add_argument("--rounds", type=int, default=3, help="samples of each measure")
     options = parser.parse_args()
     motions = cases()
+    if options.explicit:
+        text = explicit([motions[0], motions[3], motions[4]], options.rounds)
+        replace_in_page(
+            DOCS / "methods.md", "explicit", text, "python benchmarks/methods.py --explicit", circumstances()
+        )
+        return
     results = {case.name: precision(case, options.rounds) for case in motions}
     growths = {case.name: case.growth() for case in motions}
     calls = overhead(motions[0], options.rounds)

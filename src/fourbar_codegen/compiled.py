@@ -658,15 +658,18 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,), optional
             Initial state, which must satisfy the constraints (see `initial_state`); by default the one that
             `initial_state` returns for the model's initial values.
-        method : {"DOP853", "RK45", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"}, optional
-            DOP853 and RK45 are explicit and run in C, with the coefficients and step size control of SciPy. ALI3P
-            passes singular positions: an augmented Lagrangian formulation of index 3 with the trapezoidal rule and
-            projections. It runs in C with steps of `max_step`, and shorter ones if their equations cannot be solved. At
-            a singular position it follows the branch on which the velocities are continuous, since inertia does not let
-            them jump. RK23 (explicit, with steps in C), Radau and BDF (implicit) and LSODA (with automatic switching
-            between Adams and BDF) are SciPy's, through `fourbar_codegen.solvers`, with the compiled Jacobian for the
-            last three. CVODE (BDF, for stiff problems) and IDA (a differential-algebraic solver) are SUNDIALS', through
-            scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with compiled functions.
+        method : {"DOP853", "RK45", "Tsit5", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"}, optional
+            DOP853, RK45 and Tsit5 are explicit and run in C, with the step size control of SciPy, and its coefficients
+            for the first two. Tsit5, of order 5 like RK45, has smaller error coefficients. Source: Ch. Tsitouras,
+            "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption", *Computers &
+            Mathematics with Applications* 62 (2011). ALI3P passes singular positions: an augmented Lagrangian
+            formulation of index 3 with the trapezoidal rule and projections. It runs in C with steps of `max_step`, and
+            shorter ones if their equations cannot be solved. At a singular position it follows the branch on which the
+            velocities are continuous, since inertia does not let them jump. RK23 (explicit, with steps in C), Radau and
+            BDF (implicit) and LSODA (with automatic switching between Adams and BDF) are SciPy's, through
+            `fourbar_codegen.solvers`, with the compiled Jacobian for the last three. CVODE (BDF, for stiff problems)
+            and IDA (a differential-algebraic solver) are SUNDIALS', through scikit-sundae (``pip install
+            'fourbar_codegen[dae]'``), with compiled functions.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
@@ -1151,7 +1154,7 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
             One initial state for all members, or one for each; in a mapping, numbers or arrays of length n. By default,
             `initial_state` is solved for each set of parameters.
-        method : {"DOP853", "RK45"}, optional
+        method : {"DOP853", "RK45", "Tsit5"}, optional
         parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
             Likewise; the defaults otherwise.
         inputs : mapping of input to source, optional

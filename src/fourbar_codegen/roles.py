@@ -67,6 +67,7 @@ class Method(_Enum):
 
     DOP853 = 0, "of order 8(5, 3), by Hairer, Norsett and Wanner"
     RK45 = 1, "of order 5(4), by Dormand and Prince"
+    Tsit5 = 2, "of order 5(4), by Tsitouras"
 
 
 class StopReason(_Enum):
@@ -234,7 +235,7 @@ def enums_text() -> str:
         (Needs, "FB_NEEDS", "FB_NEEDS"),
     )
     for kind, name, prefix in kinds:
-        rows = [f"    {prefix}_{member.name} = {member.value}, /* {member.comment} */" for member in kind]
+        rows = [f"    {prefix}_{member.name.upper()} = {member.value}, /* {member.comment} */" for member in kind]
         rows += [f"    FB_N_{name.removeprefix('FB_')}S = {len(kind)}"] if kind in {Method, Role} else []
         texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
     cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)

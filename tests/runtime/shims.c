@@ -95,7 +95,7 @@ int is_event(double before, double after, int direction)
 
 /* fourbar_tableau.h: the arrays of a method, by their names in fb_tableau */
 
-static const fb_tableau *const METHODS[] = {&fb_rk45, &fb_dop853, &fb_rk4};
+static const fb_tableau *const METHODS[] = {&fb_rk45, &fb_dop853, &fb_rk4, &fb_tsit5};
 
 static int copy(const double *from, const int n, double *to)
 {

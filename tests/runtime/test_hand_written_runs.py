@@ -21,8 +21,8 @@ from scipy.special import ellipk, ellipkinc
 import fourbar_codegen as fb
 
 MOTIONS = {"small": Swing(0.2), "wide": Swing(2.8), "turning": Turn(10.5)}
-EXPLICIT = ["DOP853", "RK45"]
-TOLERANCES = {"DOP853": 1e-11, "RK45": 1e-11, "Radau": 1e-7}
+EXPLICIT = ["DOP853", "RK45", "Tsit5"]
+TOLERANCES = {"DOP853": 1e-11, "RK45": 1e-11, "Tsit5": 1e-11, "Radau": 1e-7}
 """As small as the order of a method allows in thousands of steps; 1e-9 for the others."""
 
 
@@ -55,7 +55,7 @@ def bound(run, motion, steps=None):
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"])
 def test_runs_follow_the_elliptic_functions_within_their_tolerances(pendulum, motion, method):
     if method in {"CVODE", "IDA"}:
         pytest.importorskip("sksundae")
@@ -155,7 +155,7 @@ def test_fixed_steps_of_the_stepper_are_of_order_four(either_pendulum):
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 16.0, rtol=0.15)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Radau", "BDF"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF"])
 def test_dense_output_follows_the_motion_between_steps(pendulum, method):
     """Interpolants have an order one less than the methods, so that between steps an error of ten units is added."""
     motion, rtol = MOTIONS["wide"], TOLERANCES.get(method, 1e-9)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import scipy.integrate
 
-RK45, DOP853, RK4 = range(3)
+RK45, DOP853, RK4, TSIT5 = range(4)
 METHODS = {"RK45": RK45, "DOP853": DOP853}
 END, PAUSED, FULL, EVENT, TOO_SMALL, INFINITE, COLLAPSED = range(7)
 """FB_RUN."""
@@ -97,7 +97,7 @@ def test_coefficients_of_the_methods_are_those_of_scipy(shims):
     np.testing.assert_array_equal(coefficients(shims, DOP853, "d", (4, 16)), Hairer.D)
 
 
-@pytest.mark.parametrize(("method", "stages", "order"), [(RK45, 6, 5), (DOP853, 12, 8), (RK4, 4, 4)])
+@pytest.mark.parametrize(("method", "stages", "order"), [(RK45, 6, 5), (DOP853, 12, 8), (RK4, 4, 4), (TSIT5, 6, 5)])
 def test_coefficients_satisfy_conditions_of_their_order(shims, method, stages, order):
     """Of quadrature, sum b c^k = 1 / (k + 1); of the tree with one branch below, sum b A c^k = 1 / ((k+1) (k+2)); and
     rows of A sum up to c. Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I,
@@ -109,6 +109,66 @@ def test_coefficients_satisfy_conditions_of_their_order(shims, method, stages, o
         assert b @ c**k == pytest.approx(1.0 / (k + 1), abs=1e-14)
     for k in range(order - 1):
         assert b @ (a @ c**k) == pytest.approx(1.0 / ((k + 1) * (k + 2)), abs=1e-13)
+
+
+def weights_of_trees(a, b, c):
+    """Sums over a method's coefficients for the trees up to order 5, and what they are in a method of that order.
+
+    Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, section II.2, table 2.2.
+    """
+    once, twice = a @ c, a @ (a @ c)
+    of_squares, of_cubes = a @ c**2, a @ c**3
+    return {
+        1: [(b.sum(), 1)],
+        2: [(b @ c, 2)],
+        3: [(b @ c**2, 3), (b @ once, 6)],
+        4: [(b @ c**3, 4), (b @ (c * once), 8), (b @ of_squares, 12), (b @ twice, 24)],
+        5: [(b @ c**4, 5), (b @ (c**2 * once), 10), (b @ (c * of_squares), 15), (b @ (c * twice), 30),
+            (b @ once**2, 20), (b @ of_cubes, 20), (b @ (a @ (c * once)), 40), (b @ (a @ of_squares), 60),
+            (b @ (a @ twice), 120)],
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("method", [RK45, TSIT5])
+def test_pairs_and_interpolants_satisfy_the_conditions_of_all_trees(shims, method):
+    """The method of order 5, the embedded one of order 4, not of order 5; and the interpolant of order 4, along the
+    step. Products of coefficients are up to 40, those of the interpolant 90.
+    """
+    a = np.zeros((7, 7))
+    a[:6, :6] = coefficients(shims, method, "a", (6, 6))
+    a[6, :6] = b = coefficients(shims, method, "b", 6)
+    c, e = a.sum(axis=1), coefficients(shims, method, "e", 7)
+    for order, trees in weights_of_trees(a, a[6], c).items():
+        for found, density in trees:
+            assert found == pytest.approx(1.0 / density, abs=1e-13), order
+    missed = []
+    for order, trees in weights_of_trees(a, a[6] - e, c).items():
+        missed += [abs(found - 1.0 / density) > 1e-5 for found, density in trees if order == 5]
+        for found, density in trees if order < 5 else ():
+            assert found == pytest.approx(1.0 / density, abs=1e-13), order
+    assert any(missed)
+    dense = coefficients(shims, method, "d", (4, 7))
+    np.testing.assert_allclose(dense.sum(axis=0), [*b, 0.0], rtol=0.0, atol=1e-13)
+    for y in (0.25, 0.5, 0.8):
+        for order, trees in weights_of_trees(a, y ** np.arange(1, 5) @ dense, c).items():
+            for found, density in trees if order < 5 else ():
+                assert found == pytest.approx(y**order / density, abs=1e-13), order
+
+
+@pytest.mark.parametrize(("method", "order"), [(RK45, 5), (DOP853, 8), (TSIT5, 5)])
+def test_errors_of_steps_of_equal_length_fall_with_the_order(shims, method, order):
+    """x'' = -x has the solution cos t. Halved steps, of which there are enough that roundings do not count."""
+    errors = []
+    for n in (8, 16):
+        h = 4.0 / n
+        with Run(shims, lambda t, x: [x[1], -x[0]], method, 0.0, [1.0, 0.0], 4.0, max_step=h, rtol=1e3, atol=1e3) as run:
+            assert run.begin_run() == 0
+            assert run.go_on_from(0.0, np.array([1.0, 0.0]), h) == 0
+            assert run.advance(1000) == END
+            _, x, (_, steps, _) = run.read()
+        assert steps == n
+        errors.append(np.abs(x - [np.cos(4.0), -np.sin(4.0)]).max())
+    assert order - 0.5 < np.log2(errors[0] / errors[1]) < order + 1.0
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -175,11 +235,11 @@ def test_steps_are_no_longer_than_allowed(shims, max_step):
         assert run.read()[0][0] == 1.0
 
 
-@pytest.mark.parametrize(("method", "degree"), [("RK45", 4), ("DOP853", 7)])
+@pytest.mark.parametrize(("method", "degree"), [(RK45, 4), (DOP853, 7), (TSIT5, 4)])
 def test_interpolants_are_exact_for_polynomials_of_their_order(shims, method, degree):
     """x = t^k is found by quadrature alone; a step of 1 leaves rounding errors of coefficients up to 400."""
     for k in range(1, degree + 1):
-        with Run(shims, lambda t, x, k=k: [k * t ** (k - 1)], METHODS[method], 0.0, [0.0], 1.0, rtol=10.0) as run:
+        with Run(shims, lambda t, x, k=k: [k * t ** (k - 1)], method, 0.0, [0.0], 1.0, rtol=10.0) as run:
             run.begin_run()
             assert run.advance(1000) == END
             (end, h, _), _, _ = run.read()

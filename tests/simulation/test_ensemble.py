@@ -225,7 +225,7 @@ def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
 
 
 @pytest.mark.slow(but=["bicycle-none-DOP853", "bicycle-none-RK45", "bicycle-project-RK45"])
-@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5"])
 @pytest.mark.parametrize("constraints", ["project", "none"])
 def test_members_of_an_ensemble_equal_runs_with_the_same_steps(compiled, method, constraints):
     start, name = {"q3": 0.4}, compiled.parameters[0]
@@ -248,7 +248,7 @@ def test_members_of_an_ensemble_equal_runs_with_the_same_steps(compiled, method,
         assert ensemble.messages[i] == run.message
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5"])
 def test_a_member_is_the_same_to_the_bit_in_any_company(four_bar, method):
     n = 203
     x0 = four_bar.initial_state()

@@ -35,7 +35,7 @@ def motion(t):
 
 
 METHODS = {
-    name: {"method": name, **TIGHT} for name in ("RK45", "DOP853", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+    name: {"method": name, **TIGHT} for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 } | {"ALI3P": {"method": "ALI3P", "max_step": 1e-3}}
 
 
@@ -143,7 +143,7 @@ def test_held_table_of_recorded_controls_repeats_the_control_loop_by_every_metho
     table = {"F": (times, forces, "hold")}
     how = {"parameters": loose, "inputs": table, "t_eval": times, "rtol": 1e-13, "atol": 1e-13}
     span = (0.0, times[-1])
-    for method in ("DOP853", "RK45"):
+    for method in ("DOP853", "RK45", "Tsit5"):
         run = four_bar.simulate(span, start, method=method, **how)
         np.testing.assert_allclose(run.y, np.transpose(states), rtol=0, atol=1e-12)
         np.testing.assert_array_equal(run["F"], forces)

@@ -314,7 +314,7 @@ def test_sensitivities_of_an_oscillator_equal_closed_forms():
         "x": np.cos(w * times),
         "v": np.sin(w * times) / w,
     }
-    for method in ("DOP853", "RK45"):
+    for method in ("DOP853", "RK45", "Tsit5"):
         run = model.simulate((0.0, 5.0), method=method, t_eval=times, rtol=1e-11, atol=1e-11, sensitivities=[*wanted])
         for name, values in wanted.items():
             np.testing.assert_allclose(run.sensitivity[name][0], values, rtol=0, atol=1e-9)
@@ -633,7 +633,7 @@ def test_sensitivities_of_dense_output_equal_those_at_samples_and_of_another_run
     table = {"F": (np.linspace(0.0, 1.0, 5), np.arange(5.0))}
     how = {"inputs": table, "sensitivities": ["k", "l2", "F", "q1"], "rtol": 1e-9, "atol": 1e-9}
     times = np.linspace(0.0, 1.0, 23)
-    for method in ("DOP853", "RK45"):
+    for method in ("DOP853", "RK45", "Tsit5"):
         run = four_bar.simulate((0.0, 1.0), dense_output=True, method=method, **how)
         other = four_bar.simulate((0.0, 1.0), t_eval=times, method=method, **how)
         at_samples, between, coarse = run.sol.sensitivity(run.t), run.sol.sensitivity(times), run.resample(times)

@@ -1,10 +1,11 @@
-/* Coefficients of explicit Runge-Kutta methods, bitwise equal to SciPy's (scipy.integrate.RK45, DOP853).
+/* Coefficients of explicit Runge-Kutta methods; RK45 and DOP853 bitwise equal to SciPy's (scipy.integrate).
  *
  * RK45: J. R. Dormand, P. J. Prince, "A family of embedded Runge-Kutta formulae", Journal of Computational and Applied
  * Mathematics 6 (1980); its interpolant: L. F. Shampine, "Some practical Runge-Kutta formulas", Mathematics of
  * Computation 46 (1986). DOP853: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I, 2nd
- * ed. 1993, section II.10. The classical method of order 4, for fixed steps; and the interpolant of the trapezoidal
- * rule in fourbar_augmented.h.
+ * ed. 1993, section II.10. Tsit5: Ch. Tsitouras, "Runge-Kutta pairs of order 5(4) satisfying only the first column
+ * simplifying assumption", Computers & Mathematics with Applications 62 (2011), with its interpolant of order 4. The
+ * classical method of order 4, for fixed steps; and the interpolant of the trapezoidal rule in fourbar_augmented.h.
  */
 #ifndef FOURBAR_TABLEAU_H
 #define FOURBAR_TABLEAU_H
@@ -127,6 +128,36 @@ static const double fb_dop853_dense[64] = {
     96.32455395918828, -39.17726167561544, -149.72683625798564
 };
 
+static const double fb_tsit5_a[36] = {
+    0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    0.161, 0.0, 0.0, 0.0, 0.0, 0.0,
+    -0.008480655492356989, 0.335480655492357, 0.0, 0.0, 0.0, 0.0,
+    2.8971530571054935, -6.359448489975075, 4.3622954328695815, 0.0, 0.0, 0.0,
+    5.325864828439257, -11.748883564062828, 7.4955393428898365, -0.09249506636175525, 0.0, 0.0,
+    5.86145544294642, -12.92096931784711, 8.159367898576159, -0.071584973281401, -0.028269050394068383, 0.0
+};
+
+static const double fb_tsit5_b[6] = {
+    0.09646076681806523, 0.01, 0.4798896504144996, 1.379008574103742, -3.290069515436081, 2.324710524099774
+};
+
+static const double fb_tsit5_c[6] = {
+    0.0, 0.161, 0.327, 0.9, 0.9800255409045097, 1.0
+};
+
+static const double fb_tsit5_error[7] = {
+    -0.001780011052225777, -0.0008164344596567469, 0.007880878010261995, -0.1447110071732629, 0.5823571654525552,
+    -0.45808210592918697, 0.015151515151515152
+};
+
+static const double fb_tsit5_dense[28] = {
+    1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0,
+    -2.763706197274826, 0.13169999999999998, 3.9302962368947516, -12.411077166933676, 37.50931341651104,
+    -27.896526289197286, 1.5,
+    2.9132554618219126, -0.2234, -5.941033872131505, 30.33818863028232, -88.1789048947664, 65.09189467479366, -4.0,
+    -1.0530884977290216, 0.1017, 2.490627285651253, -16.548102889244902, 47.37952196281928, -34.87065786149661, 2.5
+};
+
 static const double fb_rk4_a[16] = {
     0.0, 0.0, 0.0, 0.0,
     0.5, 0.0, 0.0, 0.0,
@@ -166,8 +197,18 @@ static const fb_tableau fb_dop853 = {.n_stages = 12,
                                      .n_dense = 4,
                                      .dense = fb_dop853_dense};
 
-static const fb_tableau *const fb_tableaus[FB_N_METHODS] = {[FB_METHOD_DOP853] = &fb_dop853,
-                                                            [FB_METHOD_RK45] = &fb_rk45};
+static const fb_tableau fb_tsit5 = {.n_stages = 6,
+                                    .a = fb_tsit5_a,
+                                    .b = fb_tsit5_b,
+                                    .c = fb_tsit5_c,
+                                    .n_errors = 1,
+                                    .error = fb_tsit5_error,
+                                    .order = 4.0,
+                                    .n_dense = 4,
+                                    .dense = fb_tsit5_dense};
+
+static const fb_tableau *const fb_tableaus[FB_N_METHODS] = {
+    [FB_METHOD_DOP853] = &fb_dop853, [FB_METHOD_RK45] = &fb_rk45, [FB_METHOD_TSIT5] = &fb_tsit5};
 
 static const fb_tableau fb_rk4 = {.n_stages = 4, .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
 

@@ -715,8 +715,8 @@ class CompiledModel(Kernel):
         sensitivities : sequence of str or symbols, optional
             Parameters; independent coordinates, speeds and auxiliary states, at the beginning; and inputs given as
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
-            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps, of the methods
-            of `ensemble`, are differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
+            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps, of the methods of `ensemble`, are
+            differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
             states do, with ten times the relative tolerances; `atol` counts only for rounding errors. After each
             projection they are moved onto the constraints' tangent; what that leaves out is proportional to the
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
@@ -729,8 +729,8 @@ class CompiledModel(Kernel):
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
             Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For the methods of `ensemble`.
-            Their lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters and
-            inputs.
+            Their lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters
+            and inputs.
 
         Returns
         -------

@@ -161,7 +161,9 @@ def test_errors_of_steps_of_equal_length_fall_with_the_order(shims, method, orde
     errors = []
     for n in (8, 16):
         h = 4.0 / n
-        with Run(shims, lambda t, x: [x[1], -x[0]], method, 0.0, [1.0, 0.0], 4.0, max_step=h, rtol=1e3, atol=1e3) as run:
+        with Run(
+            shims, lambda t, x: [x[1], -x[0]], method, 0.0, [1.0, 0.0], 4.0, max_step=h, rtol=1e3, atol=1e3
+        ) as run:
             assert run.begin_run() == 0
             assert run.go_on_from(0.0, np.array([1.0, 0.0]), h) == 0
             assert run.advance(1000) == END

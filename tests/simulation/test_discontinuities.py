@@ -19,7 +19,8 @@ q, u, z, w, s, F = me.dynamicsymbols("q u z w s F")
 
 TIGHT = {"rtol": 1e-9, "atol": 1e-9}
 METHODS = {
-    name: {"method": name, **TIGHT} for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+    name: {"method": name, **TIGHT}
+    for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 } | {"ALI3P": {"method": "ALI3P", "max_step": 1e-3}}
 ERROR = dict.fromkeys(METHODS, 1e-6)
 """Some hundred steps' tolerance; of ALI3P, of order 2, h^2 t / 12 times the third derivative: 4 at most."""

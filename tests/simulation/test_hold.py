@@ -35,7 +35,8 @@ def motion(t):
 
 
 METHODS = {
-    name: {"method": name, **TIGHT} for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+    name: {"method": name, **TIGHT}
+    for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 } | {"ALI3P": {"method": "ALI3P", "max_step": 1e-3}}
 
 

@@ -679,7 +679,8 @@ class CompiledModel(Kernel):
             times[i], included, until times[i + 1]). The default is "linear"; for prescribed motions, whose rates are
             needed, it is "cubic", and "hold" and callables are refused.
         t_eval : array_like, optional
-            Times at which to store the state.
+            Times at which to store the state. If a terminal event ends the run, the state there follows as the last
+            one; costs of gradients refer to those before it.
         rtol, atol : float, optional
             Relative and absolute tolerance of a step; ALI3P has none.
         events : sequence, or one of its entries, optional

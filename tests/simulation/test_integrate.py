@@ -293,15 +293,116 @@ def test_run_with_an_output_as_terminal_event_ends_at_its_second_sign_change(t_e
     assert (run.status, run.success) == (1, True)
     assert free.t[crossings[1]] <= run.t_events[0][1] <= free.t[crossings[1] + 1]
     assert len(run.t_events[0]) == 2
-    if t_eval is None:
-        assert run.t[-1] == run.t_events[0][1]
-        assert abs(run[name][-1]) < 1e-8 * np.abs(values).max()
-    else:
-        assert run.t[-1] <= run.t_events[0][1] < run.t[-1] + 0.05
+    assert run.t[-1] == run.t_events[0][1]
+    assert abs(run[name][-1]) < 1e-8 * np.abs(values).max()
+    if t_eval is not None:
+        n = run.t.size - 1
+        np.testing.assert_array_equal(run.t[:n], t_eval[:n])
+        assert run.t[-1] < t_eval[n]
     rising = crank.simulate((0.0, 3.0), x0, events=[fb.Event(name, direction=1), fb.Event(name, direction=-1)])
     up, down = rising.t_events
     assert len(up) + len(down) == len(crossings)
     assert all(values[np.searchsorted(free.t, t)] >= 0 for t in up)
+
+
+def falling():
+    """y'' = -g + c y'^2: a fall with drag."""
+    y, v = me.dynamicsymbols("y v")
+    g, c = sm.symbols("g c")
+    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    point.set_pos(origin, y * ground.y)
+    point.set_vel(ground, v * ground.y)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("body", point, 1))
+    system.add_coordinates(y)
+    system.add_speeds(v)
+    system.add_kdes(v - y.diff(me.dynamicsymbols._t))
+    system.add_loads(me.Force(point, (c * v**2 - g) * ground.y))
+    values = {g: 10.0, c: 0.01}
+    return fb.Model(system, name="falling", parameters=values, initial={y: 1000.0, v: 0.0}, outputs={"height": y})
+
+
+@pytest.mark.parametrize(
+    "method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA", "ALI3P"]
+)
+@pytest.mark.parametrize("function", ["height", lambda t, x: x[0]])
+def test_the_last_sample_is_the_state_at_a_terminal_event(method, function):
+    """The height is 1000 m - ln(cosh(sqrt(g c) t)) / c, until t = 33.81470044 s at the ground."""
+    model, t_eval = fb.compile_model(falling()), np.linspace(0.0, 40.0, 100)
+    ground = np.arccosh(np.exp(0.01 * 1000.0)) / np.sqrt(0.1)
+    assert ground == pytest.approx(33.81470044, abs=5e-9)
+    how = {"max_step": 1e-2} if method == "ALI3P" else {"rtol": 1e-9, "atol": 1e-9}
+    run = model.simulate((0.0, 40.0), method=method, t_eval=t_eval, events=fb.Event(function, terminal=True), **how)
+    assert run.status == 1
+    assert run.t[-1] == run.t_events[0][0] == pytest.approx(ground, abs=1e-4 if method == "ALI3P" else 1e-6)
+    np.testing.assert_array_equal(run.y[:, -1], run.y_events[0][0])
+    assert run.r.shape[1] == run.y.shape[1] == run.t.size
+    n = np.searchsorted(t_eval, ground)
+    np.testing.assert_array_equal(run.t[:-1], t_eval[:n])
+
+
+def test_a_sample_asked_for_at_a_terminal_event_is_not_taken_twice(four_bar):
+    """Within a step, at the end of one, and at the start of the run."""
+    steps = four_bar.simulate((0.0, 1.0)).t
+    for method in ("DOP853", "BDF"):
+        for at in (0.5, float(steps[3]), 0.0):
+            event = fb.Event(lambda t, x, at=at: t - at, terminal=True)
+            times = np.array([0.0, 0.1, 0.25, at, 1.0]) if at else np.array([0.0, 1.0])
+            run = four_bar.simulate((0.0, 1.0), method=method, t_eval=np.unique(times), events=event)
+            asked = np.unique(times)[np.unique(times) < run.t_events[0][0]]
+            np.testing.assert_array_equal(run.t, [*asked, run.t_events[0][0]])
+
+
+def test_a_terminal_event_before_all_samples_is_the_only_one(four_bar):
+    for method in ("DOP853", "BDF"):
+        event = fb.Event(lambda t, x: t - 0.5, terminal=True)
+        run = four_bar.simulate((0.0, 1.0), method=method, t_eval=[0.9], events=event)
+        assert run.t.tolist() == [run.t_events[0][0]]
+
+
+def test_a_terminal_event_at_a_jump_of_an_input_is_the_last_sample():
+    """An output that jumps with the force, at t = 0.5."""
+    y, v, force = me.dynamicsymbols("y v F")
+    model = falling()
+    system = model.system
+    system.add_loads(me.Force(system.bodies[0].masscenter, force * system.frame.y))
+    g, c = sm.symbols("g c")
+    pushed = fb.compile_model(
+        fb.Model(
+            system,
+            name="pushed",
+            parameters={g: 10.0, c: 0.01},
+            initial={y: 1000.0, v: 0.0},
+            inputs="auto",
+            outputs={"push": force - 1},
+        )
+    )
+    inputs = {"F": ([0.0, 0.5], [0.0, 2.0], "hold")}
+    for method in ("DOP853", "BDF"):
+        run = pushed.simulate(
+            (0.0, 1.0), method=method, t_eval=[0.2, 0.9], inputs=inputs, events=fb.Event("push", terminal=True)
+        )
+        assert run.status == 1
+        np.testing.assert_allclose(run.t, [0.2, 0.5], rtol=0.0, atol=1e-12)
+        assert run.y.shape == (2, 2)
+
+
+def test_gradients_refer_to_the_samples_before_a_terminal_event():
+    """d/dg of the height at 1 s, the only sample asked for before the end, by finite differences of the closed form."""
+    model = fb.compile_model(falling())
+    run = model.simulate(
+        (0.0, 40.0), t_eval=[1.0, 35.0], events=fb.Event("height", terminal=True), gradient=True, rtol=1e-10, atol=1e-10
+    )
+    assert run.t.size == 2
+
+    def height(g):
+        return 1000.0 - np.log(np.cosh(np.sqrt(g * 0.01) * 1.0)) / 0.01
+
+    slope = (height(10.0 + 1e-4) - height(10.0 - 1e-4)) / 2e-4
+    assert run.gradient({"y": [1.0]})["g"] == pytest.approx(slope, rel=1e-6)
+    with pytest.raises(fb.ModelError, match=r"shape \(2, 1\) of the states over time, without one at a terminal event"):
+        run.gradient(np.ones((2, 2)))
 
 
 def test_constraint_violation_with_baumgarte_decays_as_the_closed_form(four_bar):

@@ -56,7 +56,7 @@ class KeptSteps:
     t : float
         The beginning.
     n_t : int
-        The number of samples.
+        The number of samples, without that at a terminal event besides those asked for.
     parameters, inputs
         As for `CompiledModel.simulate`.
     starts_from_x0 : bool
@@ -117,8 +117,9 @@ class KeptSteps:
             if wrt_states.shape != (n_t, model.n_x):
                 raise ModelError(
                     f"The derivatives of the cost with respect to the states must have the shape ({model.n_x}, {n_t}) "
-                    f"of the states over time, not {wrt_states.T.shape}; or give a mapping from names of states and "
-                    f"outputs to arrays of shape ({n_t},)."
+                    f"of the states over time, without one at a terminal event that t_eval does not have, not "
+                    f"{wrt_states.T.shape}; or give a mapping from names of states and outputs to arrays of shape "
+                    f"({n_t},)."
                 )
         if not (np.isfinite(wrt_states).all() and np.isfinite(wrt_outputs).all()):
             raise ModelError("The derivatives of the cost must be finite.")

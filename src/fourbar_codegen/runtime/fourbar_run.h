@@ -524,7 +524,9 @@ static inline int fb_stop_within(fb_run *r, const double t)
     double *const along = r->watch.along;
     int status = fb_state_at(s, t, along);
     r->samples.until = r->t_bound = t;
-    if (status == 0 && r->samples.times == NULL) {
+    if (r->samples.times)
+        r->samples.pending = 1;
+    else if (status == 0) {
         status = r->observer.forward ? r->observer.at_end(s, r->observer.forward, t, along) : 0;
         memcpy(s->x, along, (size_t)s->n * sizeof *along);
         s->t = t;

@@ -870,7 +870,7 @@ cdef class Run:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
             self._make_room_for_steps()
         if n == self.run.samples.room and not is_last:
-            self._make_room(2 * n)
+            self._make_room(2 * n if n else 1)
         self.run.samples.n = 0
         return samples
 
@@ -992,10 +992,22 @@ cdef class Run:
         return values
 
     def stop_within(self, double share):
-        """End the run at a fraction of the last step: the state there is the last one, with no samples after it."""
+        """End the run at a fraction of the last step: the state there is the last one, and the last sample."""
         cdef double t = self.time_within(share)
+        cdef cnp.ndarray since
         self.ode.check(fb_stop_within(&self.run, self._within(share)))
         self.t_bound = t
+        if self.times is not None:
+            taken = self.n_taken + self.run.samples.n
+            before = max(taken, np.searchsorted(self.run.direction * self.times, self.run.direction * t))
+            if not taken or self.times[taken - 1] != t:
+                self.times = np.append(self.times[:before], t)
+            else:
+                self.times = self.times[:before]
+            since = self.times - self.origin
+            if len(since) > taken:
+                data(since)[len(since) - 1] = self.run.t_bound
+            self.run.samples.times, self.run.samples.n_times = <const double *>self._keep(since), len(since)
 
     def discard(self):
         """Discard the last step; the run ends before it."""

@@ -190,6 +190,8 @@ def integrate(
                 outcome = -1, str(error)
             else:
                 ends = watch is not None and watch.across(run)
+                if ends:
+                    run.stop_within(1.0)
                 outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED[StopReason.OPEN])
                 unknown = pieces.unknown.intersection(directions.names if directions else ())
                 if unknown:
@@ -216,8 +218,11 @@ def integrate(
     if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
         t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
     input_times = pieces.input_times(t) if pieces else t
-    if options.t_eval is not None:
-        t = options.t_eval[: t.size]
+    n_eval = t.size
+    if t_eval is not None and options.t_eval is not None:
+        if n_eval and (n_eval > t_eval.size or t[-1] != t_eval[n_eval - 1]):
+            n_eval -= 1  # the last sample is at a terminal event
+        t = np.append(options.t_eval[:n_eval], t[n_eval:])
     if options.project and model.layout.constraints.are_stated and status >= 0:
         sentence = left(model, ode, input_times, y, options.parameters)
         status, message = (-1, sentence) if sentence else (status, message)
@@ -253,9 +258,9 @@ def integrate(
         directions=directions,
         steps=KeptSteps(
             model=model,
-            steps=run.steps_kept(input_times),
+            steps=run.steps_kept(input_times[:n_eval]),
             t=t_begin,
-            n_t=t.size,
+            n_t=n_eval,
             parameters=options.parameters,
             inputs=options.inputs or {},
             starts_from_x0=options.x0 is not None,

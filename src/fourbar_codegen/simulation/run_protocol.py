@@ -71,7 +71,7 @@ class Integration(Protocol):
         """Values of the event functions at a fraction of the last step."""
 
     def stop_within(self, share: float) -> None:
-        """End the run at a fraction of the last step."""
+        """End the run at a fraction of the last step: the state there is the last sample."""
 
     def discard(self) -> None:
         """Discard the last step; the run ends before it."""

@@ -233,10 +233,15 @@ class SolverRun:
         return values[list(self._outputs)]
 
     def stop_within(self, share: float) -> None:
-        """End the run at a fraction of the last step; there are no samples after it."""
+        """End the run at a fraction of the last step: the state there is the last sample."""
+        t, x = self.time_within(share), self.state_within(share)
         self._until = self._within(share)
         if self._times is None:
-            self.t, self._x = self.time_within(share), self.state_within(share)
+            self.t, self._x = t, x
+            return
+        self._sample()
+        if not self._next or self._times[self._next - 1] != t:
+            self._samples.append((t, x))
 
     def discard(self) -> None:
         """Discard the last step; the run ends before it."""

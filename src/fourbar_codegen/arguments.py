@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, TypeGuard
 
@@ -37,6 +38,9 @@ __all__ = [
     "time_span",
     "tolerance",
 ]
+
+_PLAIN = (float, int)
+_MAX = sys.float_info.max
 
 Values = ArrayLike | Mapping[Any, float]
 """Numbers in order, or a mapping from names or SymPy symbols."""
@@ -173,10 +177,12 @@ def named_columns(
 
 def time_span(t_span: Sequence[float]) -> tuple[float, float]:
     """The first and last time of a run; they must differ."""
-    if type(t_span) is tuple and len(t_span) == 2:  # the usual case of two finite floats, without an array
+    if type(t_span) is tuple and len(t_span) == 2:  # the usual case of two finite numbers, without an array
         start, end = t_span
-        if type(start) is float is type(end) and start != end and math.isfinite(start) and math.isfinite(end):
-            return start, end
+        if type(start) in _PLAIN and type(end) in _PLAIN and -_MAX < start < _MAX and -_MAX < end < _MAX:
+            start, end = float(start), float(end)
+            if start != end:
+                return start, end
     span = numbers(t_span, "The times t_span")
     if span.shape != (2,) or not is_finite(span) or span[0] == span[1]:
         raise ModelError(f"t_span must be two times, finite and different, not {shown(t_span)}.")

@@ -83,6 +83,7 @@ class StopReason(_Enum):
     DIVERGED = 7, "the equations of an implicit step could not be solved"
     OPEN = 8, "the constraint violation is too large to be corrected: after a step by Python's solvers, or after a jump"
     SINGULAR = 9, "a singular position is reached, in runs that look for these themselves"
+    FAILED = 10, "a method with its own step control has failed, and says why"
 
 
 class Threshold(float, Enum):

@@ -6,9 +6,9 @@ from pathlib import Path
 import fourbar_codegen as fb
 
 PACKAGE = Path(fb.__file__).parent
-LONG = {"models.whipple_bicycle.whipple_bicycle", "simulation.integrate.integrate"}
-"""The first is a page of a paper; the other is a loop with its events, discontinuities and messages."""
-MANY = {"simulation.batch.residual", "simulation.solver_run.__init__"}
+LONG = {"models.whipple_bicycle.whipple_bicycle"}
+"""It is a page of a paper."""
+MANY = {"simulation.batch.residual"}
 """With more than six arguments by position."""
 
 

@@ -338,7 +338,7 @@ int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double
     double *memory;
     fb_augmented a = augmented_of(&k, &memory, n_u, n_c, mass_matrix, forcing, jacobian, bias);
     fb_problem problem = {.kernel = &k};
-    fb_stepper s = {.problem = &problem, .augmented = &a};
+    fb_stepper s = {.problem = &problem, .own = &a};
     const int found = fb_augmented_solution(&s, accelerations);
     memcpy(multipliers, a.multipliers, (size_t)n_c * sizeof(double));
     free(memory);

@@ -153,7 +153,7 @@ static inline int fb_least_change(const fb_kernel *k, fb_augmented *a, const dou
 static inline int fb_augmented_equations(fb_stepper *s, const double t, const double *x, double *coordinate_rates)
 {
     fb_problem *const p = s->problem;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
@@ -221,7 +221,7 @@ static inline void fb_shortest_multipliers(const fb_kernel *k, fb_augmented *a, 
 static inline int fb_project_accelerations(fb_stepper *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     for (int i = 0; i < FB_REFINEMENTS && k->n_c > 0; ++i) {
         fb_acceleration_violation(k, a, accelerations);
         if (!fb_least_change(k, a, a->positions))
@@ -238,7 +238,7 @@ static inline int fb_project_accelerations(fb_stepper *s, double *restrict accel
 static inline int fb_augmented_solution(fb_stepper *s, double *restrict accelerations)
 {
     const fb_kernel *const k = s->problem->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     const double penalty = fb_penalty(k, a, FB_PENALTY);
     fb_take_mass(k, a, k->n_u, a->matrix);
     fb_penalize(k, a, penalty, k->n_u, a->matrix);
@@ -256,10 +256,11 @@ static inline void fb_augmented_state_rates(fb_stepper *s, const double t, const
 {
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
+    fb_augmented *const a = s->own;
     double *const results[] = {rates + k->n_q + k->n_u};
     if (k->n_z > 0)
-        fb_problem_results(p, FB_STATE_RATES, t, x, accelerations,
-                           fb_kernels_multipliers(k, s->augmented, s->augmented->multipliers), NULL, results);
+        fb_problem_results(p, FB_STATE_RATES, t, x, accelerations, fb_kernels_multipliers(k, a, a->multipliers), NULL,
+                           results);
 }
 
 /* The size of a row of J, by its largest entry. */
@@ -278,7 +279,7 @@ static inline void fb_choose_row_units(fb_stepper *s, const double t, const doub
 {
     const fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     const int n = k->n_c + k->n_i;
     double scale = 0.0, size = 0.0, *const scales[] = {a->scales + n + k->n_c, a->scales, a->scales + n};
     fb_problem_results(p, FB_CONSTRAINT_SCALE, t, x, NULL, NULL, NULL, scales);
@@ -299,9 +300,10 @@ static inline int fb_augmented_restart(fb_stepper *s, const double since, const 
 {
     const fb_kernel *const k = s->problem->kernel;
     double *const accelerations = rates + k->n_q;
+    fb_augmented *const a = s->own;
     const double t = fb_time(&s->problem->clock, since);
     for (int row = 0; row < k->n_c; ++row)
-        s->augmented->row_unit[row] = 1.0;
+        a->row_unit[row] = 1.0;
     int called = fb_augmented_equations(s, t, x, rates);
     if (called < 0)
         return called;
@@ -330,7 +332,7 @@ static inline void fb_newton_matrix(fb_stepper *s, const double t, const double 
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     const int n_q = k->n_q, n_u = k->n_u, n_z = k->n_z, n_x = k->n_x, n = n_u + n_z;
     a->n_jacobians += 1;
     fb_take_mass(k, a, n, a->matrix);
@@ -372,7 +374,7 @@ static inline int fb_augmented_newton(fb_stepper *s, const double t, const doubl
                                       double *restrict rates)
 {
     const fb_kernel *const k = s->problem->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     const int n_q = k->n_q, n_u = k->n_u, n_x = k->n_x;
     const double *const x_old = s->x, *const f_old = s->stages;
     double penalty = 0.0, size = 0.0, changed = INFINITY, rounding = 0.0;
@@ -453,7 +455,7 @@ static inline int fb_augmented_project(fb_stepper *s, const double t, double *re
 {
     fb_problem *const p = s->problem;
     const fb_kernel *const k = p->kernel;
-    fb_augmented *const a = s->augmented;
+    fb_augmented *const a = s->own;
     for (int i = 0; i < FB_MAX_PROJECTIONS; ++i) {
         const int called = fb_augmented_equations(s, t, x, coordinate_rates);
         if (called < 0)
@@ -523,14 +525,15 @@ static inline int fb_augmented_try(fb_stepper *s, const double t_new)
 /* There is no error estimate: a step is accepted if its equations could be solved. */
 static inline int fb_augmented_attempt(fb_stepper *s, const double t_new, double *error)
 {
+    fb_augmented *const a = s->own;
     const size_t size = (size_t)s->problem->kernel->n_c * sizeof(double);
     if (!(fabs(t_new - s->t) >= fb_least_step(s->t, t_new - s->t)))
         return FB_RUN_TOO_SMALL;
-    memcpy(s->augmented->multipliers_old, s->augmented->multipliers, size);
+    memcpy(a->multipliers_old, a->multipliers, size);
     const int status = fb_augmented_try(s, t_new);
     *error = status == FB_RUN_PAUSED ? 0.0 : NAN;
     if (status == FB_RUN_DIVERGED)
-        memcpy(s->augmented->multipliers, s->augmented->multipliers_old, size);
+        memcpy(a->multipliers, a->multipliers_old, size);
     return status < 0 ? status : 0;
 }
 
@@ -546,6 +549,7 @@ static const fb_method fb_augmented_lagrangian = {.init = fb_augmented_init,
                                                   .attempt = fb_augmented_attempt,
                                                   .restart = fb_augmented_restart,
                                                   .next_length = fb_augmented_length,
+                                                  .interpolate = fb_interpolate_step,
                                                   .projects = 1,
                                                   .least_share = FB_MIN_STEP,
                                                   .largest_share = FB_SAME_TIME};

@@ -130,11 +130,30 @@ static inline int fb_complete(fb_stepper *s, const double t_new, double *error)
     return 0;
 }
 
-/* One accepted step; an FB_RUN, or negative from the callback of inputs. */
+/* One step of a method with a step control of its own, and x' at its end. */
+static inline int fb_advance(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    double t_new = s->t;
+    int status = s->method->advance(s, r->t_bound, &t_new);
+    if (status != FB_RUN_PAUSED)
+        return status;
+    status = s->project ? fb_problem_project(s->problem, t_new, s->x_new, 0) : FB_OK;
+    if (status != FB_OK)
+        return status < 0 ? status : FB_RUN_OPEN;
+    fb_accept(s, t_new);
+    r->samples.pending = 1;
+    status = s->method->restart(s, t_new, s->x, fb_end_rates(s));
+    return status < 0 ? status : FB_RUN_PAUSED;
+}
+
+/* One accepted step; an FB_RUN, or negative from a callback. */
 static inline int fb_step(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     const fb_method *const method = s->method;
+    if (method->advance)
+        return fb_advance(r);
     const double min_step = fb_least_step(s->t, r->direction);
     const double margin = method->largest_share > 0.0 ? method->largest_share * r->max_step : 0.0;
     double h_abs = fb_first_length(r->h_abs, r->max_step, min_step);

@@ -100,7 +100,8 @@ static inline double fb_runge_kutta_length(const fb_stepper *s, const double h_a
 static const fb_method fb_runge_kutta = {.init = fb_runge_kutta_init,
                                          .attempt = fb_runge_kutta_attempt,
                                          .restart = fb_evaluate,
-                                         .next_length = fb_runge_kutta_length};
+                                         .next_length = fb_runge_kutta_length,
+                                         .interpolate = fb_interpolate_step};
 
 /* The time after n steps of length h, rounded once; sums of h could miss the end of a run by a step. */
 static inline double fb_fixed_time(const double t_begin, const double h, const long n)

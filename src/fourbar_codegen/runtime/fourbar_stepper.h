@@ -52,20 +52,23 @@ typedef struct fb_method {
     int (*restart)(fb_stepper *s, double t, const double *x, double *rates);
     /* the length of the next attempt, or of the next step, after one of the length h_abs with this error */
     double (*next_length)(const fb_stepper *s, double h_abs, double error, int rejected);
+    /* x at a time within the last step, not projected */
+    int (*interpolate)(fb_stepper *s, double t, double *x);
+    /* of methods with a step control of their own, or NULL: a step towards t_bound, as `attempt`, to a time of its own
+     * choice; an FB_RUN, where FB_RUN_PAUSED means success */
+    int (*advance)(fb_stepper *s, double t_bound, double *t_new);
     int projects;         /* whether attempts project the state by themselves, and pass singular positions */
     double least_share;   /* of max_step: shorter steps are not attempted */
     double largest_share; /* of max_step: a step that would end so near to the end of the run goes on to it */
 } fb_method;
-
-struct fb_augmented;
 
 struct fb_stepper {
     fb_problem *problem;
     const fb_method *method;
     const fb_tableau *tableau;
     fb_combinations weights;
-    struct fb_augmented *augmented; /* the workspace of fourbar_augmented.h, or NULL */
-    fb_kept *kept;                  /* for each row of `stages`, or NULL */
+    void *own;     /* the method's workspace, or NULL */
+    fb_kept *kept; /* for each row of `stages`, or NULL */
     int n, padded;
     int project;               /* whether states are projected onto the constraints */
     const double *rtol, *atol; /* (n,), if the method has step control */
@@ -282,6 +285,15 @@ static FB_INLINE void fb_interpolate(const fb_tableau *m, const double *coeffici
         x[i] += x_old[i];
 }
 
+/* The state at a time in the last step by the coefficients of its interpolant, of methods that have one. */
+static inline int fb_interpolate_step(fb_stepper *s, const double t, double *x)
+{
+    const int status = fb_prepare_interpolant(s);
+    if (status == 0)
+        fb_interpolate(s->tableau, s->interpolant, s->n, s->padded, s->x_old, (t - s->t_old) / s->h, x);
+    return status;
+}
+
 /* Projects an interpolant onto the constraints. It is unchanged if no state nearby satisfies them, and NaN where they
  * have no value. */
 static inline int fb_project_sample(fb_problem *p, const double t, double *x)
@@ -300,12 +312,9 @@ static inline int fb_state_at(fb_stepper *s, const double t, double *x)
         memcpy(x, s->x, (size_t)s->n * sizeof *x);
         return 0;
     }
-    const int status = fb_prepare_interpolant(s);
-    if (status < 0)
+    const int status = s->method->interpolate(s, t, x);
+    if (status < 0 || !s->project)
         return status;
-    fb_interpolate(s->tableau, s->interpolant, s->n, s->padded, s->x_old, (t - s->t_old) / s->h, x);
-    if (!s->project)
-        return 0;
     return fb_project_sample(s->problem, t, x);
 }
 

@@ -1,6 +1,6 @@
 """Types of the compiled module integrator.pyx, which holds the documentation."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Protocol, final
 
 import numpy as np
@@ -21,6 +21,17 @@ class Directions(Protocol):
     @property
     def sources(self) -> Sequence[Floats | None]: ...
     def by_name(self, derivatives: Floats) -> dict[str, Floats]: ...
+
+class ForeignMethod(Protocol):
+    t: float
+    x: Floats
+    message: str
+    @property
+    def counts(self) -> list[int]: ...
+    def start(self, t: float, x: Floats, t_bound: float) -> None: ...
+    def step(self) -> StopReason: ...
+    def interpolant(self) -> Callable[[float], Floats]: ...
+    def dense_output(self, t: float, project: bool) -> Callable[..., Floats]: ...
 
 @final
 class Ode:
@@ -105,7 +116,7 @@ class Run:
     def __init__(
         self,
         ode: Ode,
-        method: str,
+        method: str | ForeignMethod,
         t: float,
         x: ArrayLike,
         t_bound: float,

@@ -23,23 +23,28 @@ cnp.import_array()
 cdef extern from "fourbar_stepper.h":
     int FB_MAX_STAGES
     ctypedef struct fb_method:
-        pass
+        int (*init)(fb_stepper *, double, double, double, double *) noexcept nogil
+        int (*restart)(fb_stepper *, double, const double *, double *) noexcept nogil
+        int (*interpolate)(fb_stepper *, double, double *) noexcept nogil
+        int (*advance)(fb_stepper *, double, double *) noexcept nogil
     ctypedef struct fb_stepper:
         fb_problem *problem
         const fb_tableau *tableau
-        fb_augmented *augmented
+        void *own
         int n, padded, project
         const double *rtol
         const double *atol
         double t, t_old, h
         double *x
         double *x_old
+        double *x_new
         double *stages
         double *interpolant
         int fsal
         long n_evaluations, n_steps
     int FB_PADDED(int) noexcept nogil
     size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
+    int fb_evaluate(fb_stepper *, double, const double *, double *) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
     int fb_state_at(fb_stepper *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_stepper *) noexcept nogil
@@ -716,6 +721,48 @@ def _rates_of(Ode ode):
 _REASONS = tuple(StopReason)
 
 
+# A foreign method: Python objects with a step control of their own. These functions keep exceptions for `Ode.check`.
+
+cdef int _foreign_init(fb_stepper *stepper, double direction, double interval, double max_step,
+                       double *h_abs) noexcept nogil:
+    cdef int status = fb_evaluate(stepper, stepper.t, stepper.x, stepper.stages)
+    stepper.problem.kernel.toggled(stepper.problem.work)
+    h_abs[0] = INFINITY  # nothing is proposed
+    return status
+
+
+cdef int _foreign_advance(fb_stepper *stepper, double t_bound, double *t_new) noexcept with gil:
+    cdef Run run = <Run>stepper.own
+    cdef cnp.ndarray x
+    try:
+        reason = run.foreign.step()
+        if reason == StopReason.PAUSED:
+            t_new[0] = run.foreign.t
+            x = vector(run.foreign.x, stepper.n, "The state x")
+            memcpy(stepper.x_new, data(x), stepper.n * sizeof(double))
+        return reason
+    except BaseException as error:
+        run.ode.error = error
+        return -1
+
+
+cdef int _foreign_interpolate(fb_stepper *stepper, double t, double *result) noexcept with gil:
+    cdef Run run = <Run>stepper.own
+    cdef cnp.ndarray x
+    try:
+        x = vector(run.foreign.interpolant()(t), stepper.n, "The state x")
+        memcpy(result, data(x), stepper.n * sizeof(double))
+        return 0
+    except BaseException as error:
+        run.ode.error = error
+        return -1
+
+
+cdef fb_method _foreign_method
+_foreign_method.init, _foreign_method.restart = _foreign_init, fb_evaluate
+_foreign_method.interpolate, _foreign_method.advance = _foreign_interpolate, _foreign_advance
+
+
 @cython.final
 cdef class Run:
     """A run of a method in C, without Python between its steps: see ``fourbar_run.h``.
@@ -724,7 +771,7 @@ cdef class Run:
     ----------
     ode : Ode
         The right-hand side; nothing else may call it during the run.
-    method : str
+    method : str or ForeignMethod
         Of `Method`, or "ALI3P".
     t, t_bound : float
         Beginning and end.
@@ -747,7 +794,8 @@ cdef class Run:
     cdef fb_run run
     cdef fb_augmented augmented
     cdef readonly Ode ode
-    cdef str method
+    cdef object method
+    cdef object foreign
     cdef list kept
     cdef double origin, t_begin, t_bound
     cdef double since_begin
@@ -768,7 +816,7 @@ cdef class Run:
 
     # In C, times are relative to the beginning, so that their resolution does not depend on it; outside, absolute.
 
-    def __cinit__(self, Ode ode not None, str method, double t, x, double t_bound, double max_step, rtol, atol,
+    def __cinit__(self, Ode ode not None, method, double t, x, double t_bound, double max_step, rtol, atol,
                   bint project, times, events, bint look_at_all):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
@@ -777,10 +825,15 @@ cdef class Run:
         cdef fb_watch *watch = &run.watch
         cdef double *memory
         cdef const fb_method *steps = &fb_augmented_lagrangian if method == "ALI3P" else &fb_runge_kutta
+        cdef const fb_tableau *tableau = &fb_trapezoid
         self.ode, self.method, self.kept = ode, method, []
+        if type(method) is str:
+            tableau = tableau_of(method)
+        else:
+            self.foreign, steps, stepper.own = method, &_foreign_method, <void *>self
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
-        self.kept.append(_place(stepper, ode, steps, tableau_of(method), 2 * FB_PADDED(n) + 2 * n, &memory))
+        self.kept.append(_place(stepper, ode, steps, tableau, 2 * FB_PADDED(n) + 2 * n, &memory))
         stepper.project = project
         stepper.rtol, stepper.atol = _fill(memory, rtol, n), _fill(memory + n, atol, n)
         watch.along = memory + 2 * n
@@ -799,7 +852,7 @@ cdef class Run:
             watch.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
         if method == "ALI3P":
             ode.evaluator.function(FB_STATE_PARTIALS)
-            stepper.augmented = &self.augmented
+            stepper.own = &self.augmented
             matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.samples.n_times if times is not None else 256)
@@ -889,6 +942,7 @@ cdef class Run:
     def begin(self):
         """Choose the first step."""
         self.run.samples.pending = 1
+        self._start_foreign()
         self.ode.check(fb_begin(&self.run))
         if self.run.watch.n_events:
             self.ode.check(fb_event_values(&self.run, self.run.stepper.t, self.run.stepper.x, self.run.watch.value))
@@ -915,7 +969,17 @@ cdef class Run:
         if run.record:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             self._make_room_for_steps()
-        return self.ode.check(fb_enter(run, &segment, NULL if x is None else data(state))) == FB_RUN_PAUSED
+        if self.ode.check(fb_enter(run, &segment, NULL if x is None else data(state))) != FB_RUN_PAUSED:
+            return False
+        if t != t_bound:
+            self._start_foreign()
+        return True
+
+    cdef int _start_foreign(self) except -1:
+        """Make a foreign method begin at the state reached."""
+        if self.foreign is not None:
+            self.foreign.start(self.run.stepper.t, self.x, self.run.t_bound)
+        return 0
 
     cdef int _pass_jump(self, double before, double after, cnp.ndarray x) except -1:
         """The derivatives after a jump of the speeds to a state x."""
@@ -1015,6 +1079,8 @@ cdef class Run:
 
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""
+        if self.foreign is not None:
+            return self.foreign.dense_output(self.t, bool(self.run.stepper.project))
         return DenseOutput(self.ode, self.method, self.run.direction, self.run.stepper.project, [self.t],
                            [self.run.stepper.t], [], self.directions)
 
@@ -1046,17 +1112,17 @@ cdef class Run:
     @property
     def n_evaluations(self):
         """Number of evaluations of the right-hand side."""
-        return self.run.stepper.n_evaluations
+        return self.run.stepper.n_evaluations if self.foreign is None else self.foreign.counts[0]
 
     @property
     def n_jacobians(self):
         """Number of evaluations of its derivatives."""
-        return self.augmented.n_jacobians
+        return self.augmented.n_jacobians if self.foreign is None else self.foreign.counts[1]
 
     @property
     def n_factorizations(self):
         """Number of factorizations for Newton's method and projections, without those of the right-hand side."""
-        return self.augmented.n_factorizations
+        return self.augmented.n_factorizations if self.foreign is None else self.foreign.counts[2]
 
     @property
     def x(self):

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
-from fourbar_codegen.runtime.integrator import Ode, Table
-from fourbar_codegen.simulation.run_protocol import Integration
+from fourbar_codegen.runtime.integrator import Ode, Run, Table
 
 __all__ = [
     "Boundary",
@@ -394,7 +393,7 @@ class Pieces:
         """Whether there is another piece after the current one."""
         return self._next is not None
 
-    def begin(self, run: Integration) -> None:
+    def begin(self, run: Run) -> None:
         """Make the run stop at the end of its first piece."""
         t, x, at = run.t, run.x, self._later[0]
         if abs(at.t - t) > at.rounding:
@@ -409,7 +408,7 @@ class Pieces:
         else:
             self._enter(run, t, here.first, x, jumps=False)
 
-    def go_on(self, run: Integration) -> bool:
+    def go_on(self, run: Run) -> bool:
         """Continue with the next piece; returns whether the state could be projected onto the constraints there.
 
         Raises
@@ -439,7 +438,7 @@ class Pieces:
             found[(min(end, begin) < times) & (times < max(end, begin))] = at
         return found
 
-    def _enter(self, run: Integration, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
+    def _enter(self, run: Run, t: float, first: float, x: Floats, *, jumps: bool) -> bool:
         end, last, self._next = self._span[1], self._towards, None
         if self._later:
             at = self._later.pop(0)

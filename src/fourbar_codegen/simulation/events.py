@@ -14,7 +14,6 @@ from fourbar_codegen.arguments import finite_number, is_integer, name_of, number
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Run
-from fourbar_codegen.simulation.run_protocol import Integration
 
 SPACING = 0.01
 """Of the values from which the slope of an event function is found, in fractions of the step."""
@@ -123,7 +122,7 @@ class Watch:
         self.left = math.nan
         """The time of that end."""
 
-    def begin(self, run: Integration) -> None:
+    def begin(self, run: Run) -> None:
         """Evaluate the functions at the start."""
         for place, i in enumerate(self.named):
             self.values[i] = run.event_values[1][place]
@@ -133,27 +132,27 @@ class Watch:
     def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
         return number(function(t, x), "The value of an event's callable")
 
-    def look(self, run: Integration) -> float | None:
+    def look(self, run: Run) -> float | None:
         """Store the events of the last step; returns the fraction of the step at which a terminal event occurs."""
         before = self._move_on(run)
         for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
             if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
                 continue  # already found at the end of the previous piece
-            if self.differentiates and isinstance(run, Run):
+            if self.differentiates:
                 self.derivatives[i].append(self._slopes(run, i, share))
             if self._note(i, run.time_within(share), run.state_within(share)):
                 return share
         return None
 
-    def leave(self, run: Integration) -> None:
+    def leave(self, run: Run) -> None:
         """Keep what `across` needs of the last step before a discontinuity."""
         self.left = run.t
         for i, start, end in zip(self.named, *run.event_values, strict=True):
             self.changes[i] = abs(end - start)
-        if self.differentiates and isinstance(run, Run):
+        if self.differentiates:
             self.at_end = [self._slopes(run, i, 1.0) for i in self.named]
 
-    def across(self, run: Integration) -> bool:
+    def across(self, run: Run) -> bool:
         """Store the events at a discontinuity, after it; returns whether one of them is terminal."""
         before, self.went_on = self._move_on(run), run.t
         terminal = False
@@ -162,7 +161,7 @@ class Watch:
             is_continuous = change <= CONTINUOUS * self.changes[i]
             if change == 0.0 or (is_continuous and self.times[i] and self.times[i][-1] == self.left):
                 continue  # found in the step before
-            if self.differentiates and isinstance(run, Run):
+            if self.differentiates:
                 at = self.at_end[self.named.index(i)]
                 # a jump is at a time that depends on nothing
                 jump = _Slopes(run.sensitivity_within(1.0), math.inf, run.rates_within(1.0))
@@ -186,7 +185,7 @@ class Watch:
         slope = float(np.linalg.solve(np.vander((at - share) / SPACING), values)[-2])
         return slope / (SPACING * run.h) if abs(slope) > TOUCHING * np.abs(values).max() else 0.0
 
-    def _move_on(self, run: Integration) -> list[float]:
+    def _move_on(self, run: Run) -> list[float]:
         """Evaluate the functions at the current state; returns their previous values."""
         before = list(self.values)
         for place, i in enumerate(self.named):  # intermediate steps were not checked
@@ -213,7 +212,7 @@ class Watch:
             self.ended_by = getattr(function, "__name__", str(function))
         return ends
 
-    def _root(self, run: Integration, i: int, before: float) -> float:
+    def _root(self, run: Run, i: int, before: float) -> float:
         """The fraction of the last step at which a function is zero."""
         from scipy.optimize import brentq
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +22,10 @@ from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
-from fourbar_codegen.simulation.run_protocol import Integration
 from fourbar_codegen.simulation.singularity import Singular
+
+if TYPE_CHECKING:
+    from fourbar_codegen.simulation.foreign import ForeignMethod
 
 __all__ = ["REACHED_END", "integrate"]
 
@@ -31,7 +33,6 @@ Floats = NDArray[np.float64]
 
 # An attribute of an enumeration takes as long as ten comparisons in the loop below.
 END, PAUSED, FULL, EVENT = StopReason.END, StopReason.PAUSED, StopReason.FULL, StopReason.EVENT
-COLLAPSED, DIVERGED = StopReason.COLLAPSED, StopReason.DIVERGED
 
 PAUSE_SECONDS = 0.02
 """Seconds after which a run in C returns to Python, for keyboard interrupts and progress."""
@@ -109,167 +110,257 @@ def integrate(
     -------
     Trajectory
     """
-    span, method, max_steps, t_eval = options.t_span, options.method, options.max_steps, options.t_eval
-    watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
-    # ALI3P satisfies the position constraints by itself, with or without projection.
-    closes = options.project or method == FIXED_STEP
-    start = consistent(ode, span[0], x0) if closes else x0
-    (t_begin, t_bound), max_step, rtol, atol = span, options.max_step, options.rtol, options.atol
-    outputs = watch.outputs if watch else ()
-    later = discontinuities(ode, *span, varied=options.gradient or directions is not None)
-    if t_eval is not None and later:
-        t_eval = snapped(t_eval, later)
-    run: Integration
-    if method in SOLVERS:
-        from fourbar_codegen.simulation.solver_run import SolverRun
+    integration = _Integration(model, ode, x0, options, directions)
+    integration.go(progress)
+    return integration.trajectory()
 
-        more = {} if options.formulation is None else {"formulation": options.formulation}
-        places = [place for place, _ in outputs]
-        run = SolverRun(
-            model, ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, places, more
+
+class _Integration:
+    """A run of the driver in C, and what the reasons mean for which it stops.
+
+    Attributes
+    ----------
+    status : int or None
+        As of `Trajectory`; None while the run goes on.
+    message : str
+    singular : str
+        The message of a singular position, or an empty text.
+    """
+
+    __slots__ = (
+        "dense", "differentiates", "directions", "foreign", "looks", "message", "model", "ode", "options", "pieces",
+        "run", "samples", "singular", "status", "t_eval", "watch",
+    )  # fmt: skip
+
+    def __init__(self, model: Kernel, ode: Ode, x0: Floats, options: RunOptions, directions: Directions | None) -> None:
+        self.model, self.ode, self.options, self.directions = model, ode, options, directions
+        self.differentiates = options.gradient or directions is not None
+        self.status: int | None = None
+        self.message = self.singular = ""
+        self.samples: list[tuple[Floats, Floats]] = []
+        self.looks: Singular | None = None  # made where a run needs it
+        self.watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
+        later = discontinuities(ode, *options.t_span, varied=self.differentiates)
+        self.t_eval = options.t_eval
+        if self.t_eval is not None and later:
+            self.t_eval = snapped(self.t_eval, later)
+        self.foreign = self._foreign_method() if options.method in SOLVERS else None
+        self.run = run = self._make_run(x0)
+        run.begin()
+        if self.watch:
+            self.watch.begin(run)
+        others = _other_values(model, options, directions) if later else {}
+        self.pieces = Pieces(ode, options.t_span, later, others) if later else None
+        if self.pieces:
+            self.pieces.begin(run)
+        self.dense: Any = run.dense_output() if options.dense_output else None
+
+    def _foreign_method(self) -> ForeignMethod:
+        from fourbar_codegen.simulation.foreign import ForeignMethod
+
+        options = self.options
+        self.ode.projects, self.ode.in_pieces = options.project, True
+        given: dict[str, Any] = {"rtol": options.rtol, "atol": options.atol, "max_step": options.max_step}
+        if options.formulation is not None:
+            given["formulation"] = options.formulation
+        return ForeignMethod(self.ode, options.method, given)
+
+    def _make_run(self, x0: Floats) -> Run:
+        options, watch = self.options, self.watch
+        begin, end = options.t_span
+        # ALI3P satisfies the position constraints by itself, with or without projection.
+        closes = options.project or options.method == FIXED_STEP
+        run = Run(
+            self.ode,
+            self.foreign or options.method,
+            begin,
+            consistent(self.ode, begin, x0) if closes else x0,
+            end,
+            options.max_step,
+            options.rtol,
+            options.atol,
+            options.project,
+            self.t_eval,
+            watch.outputs if watch else (),
+            options.dense_output or (watch is not None and bool(watch.callables)),
         )
-    else:
-        look = options.dense_output or (watch is not None and bool(watch.callables))
-        run = Run(ode, method, t_begin, start, t_bound, max_step, rtol, atol, options.project, t_eval, outputs, look)
-        varied = directions
+        varied = self.directions
         if options.gradient:
             run.keep_steps()
-            locked = locked_parameters(model, [(t_begin, start)], options.parameters, options.inputs)
-            varied = with_probes(model, directions, options.parameters, options.inputs, locked)
+            locked = locked_parameters(self.model, [(begin, run.x)], options.parameters, options.inputs)
+            varied = with_probes(self.model, varied, options.parameters, options.inputs, locked)
         if varied is not None:
             run.differentiate_along(varied)
-    run.begin()
-    if watch:
-        watch.begin(run)
-    others = _other_values(model, options, directions) if later else {}
-    pieces = Pieces(ode, span, later, others) if later else None
-    if pieces:
-        pieces.begin(run)
-    dense: Any = run.dense_output() if options.dense_output else None  # stores steps of this kind of run
-    samples: list[tuple[Floats, Floats]] = []
-    outcome: tuple[int, str] | None = None
-    looks, singular = Singular(model), ""
-    steps, noted = 16, time.perf_counter()
-    while outcome is None:
-        begin = time.perf_counter()
-        reason = run.on(steps if max_steps is None else min(steps, max_steps - run.n_steps))
-        now = time.perf_counter()
-        if progress is not None and now - noted >= PAUSE_SECONDS:
-            progress(run.t)
-            noted = now
-        if reason is EVENT:
-            if run.toggled:
-                samples.append(run.take_samples())
-                singular = looks.within_step(run, samples)
-                if singular:
-                    run.discard()
-                    outcome = -1, singular
-                    break
-            if dense is not None:
-                dense.add(run)
-            end = watch.look(run) if watch else None
-            if end is not None:
-                run.stop_within(end)
-                outcome = 1, TERMINATED + _at_start(watch.ended_by if watch else "", run, end, t_begin)
-        elif reason is FULL:
-            samples.append(run.take_samples())
-        elif reason is PAUSED:
-            steps = round(min(max(steps * PAUSE_SECONDS / (now - begin), 1), 4 * steps))
-            if run.n_steps == max_steps:
-                outcome = -1, f"max_steps = {max_steps} is reached; None is no limit."
-        elif reason is END:
-            if not (pieces and pieces.ahead):
-                outcome = 0, REACHED_END
-                continue
-            samples.append(run.take_samples())
-            if watch is not None:
-                watch.leave(run)
-            try:
-                closed = pieces.go_on(run)
-            except SimulationError as error:
-                outcome = -1, str(error)
+        return run
+
+    def go(self, progress: Callable[[float], object] | None) -> None:
+        """Run to the end, or to where it stops."""
+        run, max_steps = self.run, self.options.max_steps
+        n_steps, noted = 16, time.perf_counter()
+        while self.status is None:
+            begin = time.perf_counter()
+            reason = run.on(n_steps if max_steps is None else min(n_steps, max_steps - run.n_steps))
+            now = time.perf_counter()
+            if progress is not None and now - noted >= PAUSE_SECONDS:
+                progress(run.t)
+                noted = now
+            if reason is PAUSED:
+                n_steps = round(min(max(n_steps * PAUSE_SECONDS / (now - begin), 1), 4 * n_steps))
+                if run.n_steps == max_steps:
+                    self.status, self.message = -1, f"max_steps = {max_steps} is reached; None is no limit."
+            elif reason is EVENT:
+                self._examine()
+            elif reason is FULL:
+                self._make_room()
+            elif reason is END:
+                self._end_piece()
             else:
-                ends = watch is not None and watch.across(run)
-                if ends:
-                    run.stop_within(1.0)
-                outcome = (1, TERMINATED) if ends else None if closed else (-1, FAILED[StopReason.OPEN])
-                unknown = pieces.unknown.intersection(directions.names if directions else ())
-                if unknown:
-                    outcome = -1, UNKNOWN_JUMP.format(", ".join(sorted(unknown)))
-        elif reason is DIVERGED:
-            outcome = -1, run.ode.failure or NOT_SOLVED.format(options.max_step / 10.0)
-        else:
-            samples.append(run.take_samples())
-            differentiates = options.gradient or directions is not None
-            singular = looks.here(run, samples, collapsed=reason is COLLAPSED, varied=differentiates)
-            if singular or reason is not COLLAPSED:
-                outcome = -1, singular or run.ode.failure or _failure(reason)
-    status, message = outcome
-    while run.on(0) is FULL:
-        samples.append(run.take_samples())
-    samples.append(run.take_samples())
-    ode.clock = ALL_TIME  # from here on, its times are absolute
-    if status < 0:
-        message = f"The integration stopped at t = {run.t:.9g}: {message}"
-        if singular and (directions is not None or options.gradient):
-            message += NO_DERIVATIVE
-    t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
-    y = y.T
-    if dense is not None and t_eval is None and t.size > 1 and t[-1] == t[-2]:
-        t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
-    input_times = pieces.input_times(t) if pieces else t
-    n_eval = t.size
-    if t_eval is not None and options.t_eval is not None:
-        if n_eval and (n_eval > t_eval.size or t[-1] != t_eval[n_eval - 1]):
-            n_eval -= 1  # the last sample is at a terminal event
-        t = np.append(options.t_eval[:n_eval], t[n_eval:])
-    if options.project and model.layout.constraints.are_stated and status >= 0:
-        sentence = left(model, ode, input_times, y, options.parameters)
-        status, message = (-1, sentence) if sentence else (status, message)
-    if not singular:  # near singular positions speeds grow for that reason
-        message += _growth(ode, input_times, y, run, by_steps=t_eval is None)
-    sensitivity = None
-    if directions is not None and isinstance(run, Run):
-        derivatives = run.sensitivities[: directions.matrix.shape[1], :, : t.size]
-        sensitivity = directions.by_name(derivatives)
-        if t.size and status >= 0 and not np.isfinite(derivatives[..., -1]).all():  # they do not become finite again
-            message += NOT_FINITE.format(t[np.flatnonzero(~np.isfinite(derivatives).all(axis=(0, 1)))[0]])
-    return make_trajectory(
-        model=model,
-        parameters=options.parameters,
-        t=t,
-        y=y,
-        r=ode.inputs_along(input_times, y),
-        sol=dense or None,  # None if there are no steps
-        t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
-        y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
-        nfev=run.n_evaluations,
-        njev=run.n_jacobians,
-        nlu=run.n_factorizations,
-        status=status,
-        success=status >= 0,
-        message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
-        settings=options.settings(),
-        inputs=options.inputs or {},
-        event_sensitivity=_of_events(model, ode, watch, directions, options)
-        if watch and directions is not None
-        else None,
-        sensitivity=sensitivity,
-        directions=directions,
-        steps=KeptSteps(
-            model=model,
-            steps=run.steps_kept(input_times[:n_eval]),
-            t=t_begin,
-            n_t=n_eval,
+                self._fail(reason)
+        while run.on(0) is FULL:
+            self._make_room()
+        self._make_room()
+
+    def _make_room(self) -> None:
+        self.samples.append(self.run.take_samples())
+
+    def _examine(self) -> None:
+        """The last step may have an event, or pass a singular position; the dense output has it too."""
+        run = self.run
+        if run.toggled:
+            self._make_room()
+            self.looks = self.looks or Singular(self.model)
+            self.singular = self.looks.within_step(run, self.samples)
+            if self.singular:
+                run.discard()
+                self.status, self.message = -1, self.singular
+                return
+        if self.dense is not None:
+            self.dense.add(run)
+        end = self.watch.look(run) if self.watch else None
+        if end is not None and self.watch:
+            run.stop_within(end)
+            self.status, self.message = 1, TERMINATED + _at_start(self.watch.ended_by, run, end, self.options.t_span[0])
+
+    def _end_piece(self) -> None:
+        """The end of the run, or a discontinuity."""
+        run, watch, pieces = self.run, self.watch, self.pieces
+        if not (pieces and pieces.ahead):
+            self.status, self.message = 0, REACHED_END
+            return
+        self._make_room()
+        if watch is not None:
+            watch.leave(run)
+        try:
+            closed = pieces.go_on(run)
+        except SimulationError as error:
+            self.status, self.message = -1, str(error)
+            return
+        if watch is not None and watch.across(run):
+            run.stop_within(1.0)
+            self.status, self.message = 1, TERMINATED
+        elif not closed:
+            self.status, self.message = -1, FAILED[StopReason.OPEN]
+        unknown = pieces.unknown.intersection(self.directions.names if self.directions else ())
+        if unknown:
+            self.status, self.message = -1, UNKNOWN_JUMP.format(", ".join(sorted(unknown)))
+
+    def _fail(self, reason: StopReason) -> None:
+        """The next step cannot be taken, or steps have collapsed: perhaps at a singular position."""
+        run = self.run
+        if reason is StopReason.DIVERGED:
+            self.status, self.message = -1, run.ode.failure or NOT_SOLVED.format(self.options.max_step / 10.0)
+            return
+        self._make_room()
+        collapsed = reason is StopReason.COLLAPSED
+        self.looks = self.looks or Singular(self.model)
+        self.singular = self.looks.here(run, self.samples, collapsed=collapsed, varied=self.differentiates)
+        if self.singular or not collapsed:
+            own = self.foreign.message if self.foreign and reason is StopReason.FAILED else FAILED.get(reason, "")
+            self.status, self.message = -1, self.singular or run.ode.failure or own
+
+    def trajectory(self) -> Trajectory:
+        """The run as a result."""
+        run, options, directions, ode, watch = self.run, self.options, self.directions, self.ode, self.watch
+        t, y, input_times, n_eval = self._sampled()
+        ode.clock = ALL_TIME  # from here on, its times are absolute
+        status, message = self._final(y, input_times)
+        sensitivity = None
+        if directions is not None:
+            derivatives = run.sensitivities[: directions.matrix.shape[1], :, : t.size]
+            sensitivity = directions.by_name(derivatives)
+            # Once they are not finite, they do not become finite again.
+            if t.size and status >= 0 and not np.isfinite(derivatives[..., -1]).all():
+                message += NOT_FINITE.format(t[np.flatnonzero(~np.isfinite(derivatives).all(axis=(0, 1)))[0]])
+        return make_trajectory(
+            model=self.model,
+            parameters=options.parameters,
+            t=t,
+            y=y,
+            r=ode.inputs_along(input_times, y),
+            sol=self.dense or None,  # None if there are no steps
+            t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
+            y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
+            nfev=run.n_evaluations,
+            njev=run.n_jacobians,
+            nlu=run.n_factorizations,
+            status=status,
+            success=status >= 0,
+            message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
+            settings=options.settings(),
+            inputs=options.inputs or {},
+            event_sensitivity=_of_events(self.model, ode, watch, directions, options)
+            if watch and directions is not None
+            else None,
+            sensitivity=sensitivity,
+            directions=directions,
+            steps=self._kept_steps(input_times[:n_eval]) if options.gradient else None,
+        )
+
+    def _sampled(self) -> tuple[Floats, Floats, Floats, int]:
+        """Times and states of the samples, times of their inputs, and the number of those that were asked for."""
+        samples, asked = self.samples, self.options.t_eval
+        t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
+        y = y.T
+        if self.dense is not None and asked is None and t.size > 1 and t[-1] == t[-2]:
+            t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
+        input_times = self.pieces.input_times(t) if self.pieces else t
+        n = t.size
+        if asked is not None and self.t_eval is not None:
+            if self.status == 1 and n and (n > self.t_eval.size or t[-1] != self.t_eval[n - 1]):
+                n -= 1  # the last one is at a terminal event
+                t = np.append(asked[:n], t[n])
+            else:
+                t = asked[:n]
+        return t, y, input_times, n
+
+    def _final(self, y: Floats, input_times: Floats) -> tuple[int, str]:
+        """Status and message."""
+        options, model, message = self.options, self.model, self.message
+        status = self.status or 0
+        if status < 0:
+            message = f"The integration stopped at t = {self.run.t:.9g}: {message}"
+            if self.singular and self.differentiates:
+                message += NO_DERIVATIVE
+        if options.project and model.layout.constraints.are_stated and status >= 0:
+            sentence = left(model, self.ode, input_times, y, options.parameters)
+            status, message = (-1, sentence) if sentence else (status, message)
+        if not self.singular:  # near singular positions speeds grow for that reason
+            message += _growth(self.ode, input_times, y, self.run, by_steps=self.t_eval is None)
+        return status, message
+
+    def _kept_steps(self, times: Floats) -> KeptSteps:
+        options = self.options
+        return KeptSteps(
+            model=self.model,
+            steps=self.run.steps_kept(times),
+            t=options.t_span[0],
+            n_t=times.size,
             parameters=options.parameters,
             inputs=options.inputs or {},
             starts_from_x0=options.x0 is not None,
             dx0=options.dx0,
-            unknown=frozenset(pieces.unknown if pieces else ()),
+            unknown=frozenset(self.pieces.unknown if self.pieces else ()),
         )
-        if options.gradient and isinstance(run, Run)
-        else None,
-    )
 
 
 def _other_values(model: Kernel, options: RunOptions, directions: Directions | None) -> dict[str, Ode]:
@@ -287,7 +378,7 @@ def _other_values(model: Kernel, options: RunOptions, directions: Directions | N
     return found
 
 
-def _at_start(function: str, run: Integration, share: float, begin: float) -> str:
+def _at_start(function: str, run: Run, share: float, begin: float) -> str:
     """A sentence if the terminal event in the last step is at the start of the run, otherwise an empty text."""
     return ZERO_AT_START.format(function, begin) if run.n_steps == 1 and share <= ROUNDED else ""
 
@@ -326,12 +417,7 @@ def _of_events(
     return found
 
 
-def _failure(reason: StopReason | str) -> str:
-    """What is wrong where a run cannot go on: a sentence, or the message of a solver that is not ours."""
-    return FAILED[reason] if isinstance(reason, StopReason) else reason
-
-
-def _growth(ode: Ode, t: Floats, y: Floats, run: Integration, *, by_steps: bool) -> str:
+def _growth(ode: Ode, t: Floats, y: Floats, run: Run, *, by_steps: bool) -> str:
     """A warning if the energy has grown suspiciously, or an empty text; see GROWN."""
     n, end = len(t), run.t
     kinetic, potential = reached = ode.energies(end, run.x)

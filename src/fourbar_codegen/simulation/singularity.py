@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.kernel.consistency import ROUNDING_ATOL
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.runtime.integrator import Ode
-from fourbar_codegen.simulation.run_protocol import Integration
+from fourbar_codegen.runtime.integrator import Ode, Run
 
 __all__ = ["Singular"]
 
@@ -65,7 +64,7 @@ class Singular:
         self.known = 0.0
         """Duration of the run for which scales and median are known."""
 
-    def here(self, run: Integration, samples: Samples, *, collapsed: bool, varied: bool = False) -> str:
+    def here(self, run: Run, samples: Samples, *, collapsed: bool, varied: bool = False) -> str:
         """A message if the state at which steps collapse or fail is singular, otherwise an empty text.
 
         In a run with derivatives, `varied`, it counts as singular further away.
@@ -82,7 +81,7 @@ class Singular:
         more = ", and the next step fails: try smaller tolerances"
         return self._message("comes close to", run.ode, run.t, run.x, NEAR, more)
 
-    def within_step(self, run: Integration, samples: Samples) -> str:
+    def within_step(self, run: Run, samples: Samples) -> str:
         """A message if the last step of a run has passed a singular position, otherwise an empty text.
 
         Then J loses rank at a state within the step, or neighbouring states within the step are in different assembly
@@ -109,7 +108,7 @@ class Singular:
             "position: use smaller tolerances."
         )
 
-    def _learn(self, run: Integration, samples: Samples) -> None:
+    def _learn(self, run: Run, samples: Samples) -> None:
         """The scales of J and the median of the measure over the run up to now."""
         times, states = map(np.concatenate, zip(*samples, strict=True))
         if times.size == 0:

@@ -89,7 +89,8 @@ class _Compiled(scipy.integrate.OdeSolver):
                     f"The rate of a prescribed motion jumps at t = {at.begin:.9g}, and so do the speeds: use "
                     "CompiledModel.simulate, which passes the jump, or end the run there."
                 )
-        self.ode = copy(fun)  # a copy with its own memory: the given one may be in use in other threads
+        # A copy with its own memory: the given one may be in use in other threads, except by a run of its own.
+        self.ode = fun if fun.in_pieces else copy(fun)
         self._complete(options)
         super().__init__(self.ode, t0, y0, t_bound, **options)
 

@@ -26,6 +26,7 @@ HEADERS = (
     "fourbar_forces.h", "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h", "fourbar_normal.h",
     "fourbar_ordered.h", "fourbar_pivoted.h", "fourbar_problem.h", "fourbar_real.h", "fourbar_recursive.h",
     "fourbar_run.h", "fourbar_runge_kutta.h", "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h",
+    "fourbar_stages.h",
     "fourbar_step_control.h", "fourbar_stepper.h", "fourbar_tableau.h",
 )  # fmt: skip
 """The runtime of a library."""

@@ -71,37 +71,36 @@ static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const
     c->n_evaluations -= asked;
 }
 
-/* base + factor times the weighted sum of stages; base may be NULL. */
+#define FB_VALUE fb_real
+#define FB_OF(name) name##_lanes
+#define FB_MAGNITUDE(value) fb_abs(value)
+#define FB_LARGER(a, b) fb_greater(b, a)
+#define FB_UNIT(value) (1.0 / (value)) /* divisions take long in lanes */
+#define FB_IN_UNITS(value, unit) ((value) * (unit))
+#define FB_AT_ONCE 1
+#include "fourbar_stages.h"
+
 static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights *w, const fb_real factor,
                                     const fb_real *base, fb_real *restrict result)
 {
-    for (int i = 0; i < N_X; ++i) {
-        fb_real sum = fb_number(0.0);
-        for (int j = 0; j < w->n; ++j)
-            sum += w->weight[j] * c->stages[w->stage[j]][i];
-        result[i] = base ? base[i] + factor * sum : factor * sum;
-    }
+    fb_combine_rows_lanes(c->stages[0], N_X, w, factor, base, result);
 }
 
-/* The square of the error estimate in units of the tolerances, times the number of states; see `fb_error_of`. */
+/* The square of the error estimate in units of the tolerances, times the number of states; see `fb_error_norm`. */
 static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
                                      const fb_real *restrict x_new)
 {
     const int two = e->method->n_errors == 2;
-    fb_real error[N_X], scale[N_X], sum = fb_number(0.0), sum3 = fb_number(0.0);
+    fb_real error[N_X], error3[N_X], sums[2];
     fb_lanes_combine(c, c->begin.weights.error, two ? fb_number(1.0) : h, NULL, error);
-    for (int i = 0; i < N_X; ++i) {
-        scale[i] = 1.0 / (e->atol[i] + fb_greater(fb_abs(x_new[i]), fb_abs(c->x[i])) * e->rtol[i]);
-        sum += (error[i] * scale[i]) * (error[i] * scale[i]);
-    }
+    if (two)
+        fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error3);
+    fb_error_sums_lanes(N_X, e->rtol, e->atol, c->x, x_new, error, two ? error3 : NULL, sums);
     if (!two)
-        return sum;
-    fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error);
-    for (int i = 0; i < N_X; ++i)
-        sum3 += (error[i] * scale[i]) * (error[i] * scale[i]);
+        return sums[0];
     /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
-    const fb_real squared = h * h * sum * sum / (sum + 0.01 * sum3);
-    return fb_select((sum == 0.0) & (sum3 == 0.0), fb_number(0.0), squared);
+    const fb_real squared = h * h * sums[0] * sums[0] / (sums[0] + 0.01 * sums[1]);
+    return fb_select((sums[0] == 0.0) & (sums[1] == 0.0), fb_number(0.0), squared);
 }
 
 /* Newton's method as in `project` of fourbar_model.h, with the factors of the last evaluation, for the requested lanes;
@@ -346,32 +345,9 @@ static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble 
         fb_lanes_combine(c, b->weights.extra + i, h, c->x, scratch);
         fb_lanes_rates(c, e, c->t + m->c_extra[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
     }
-    const fb_real *const f_old = c->stages[0], *const f = c->stages[m->n_stages];
-    for (int i = 0; i < N_X; ++i) {
-        const fb_real change = x_new[i] - c->x[i];
-        c->interpolant[0][i] = change;
-        c->interpolant[1][i] = h * f_old[i] - change;
-        c->interpolant[2][i] = 2.0 * change - h * (f[i] + f_old[i]);
-    }
+    fb_hermite_rows_lanes(N_X, h, c->x, x_new, c->stages[0], c->stages[m->n_stages], c->interpolant[0]);
     for (int i = 0; i < m->n_dense; ++i)
         fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[3 + i]);
-}
-
-/* The states at a fraction y of each step. */
-static inline void fb_lanes_interpolate(const fb_lanes *restrict c, const fb_tableau *m, const fb_real y,
-                                        fb_real *restrict x)
-{
-    for (int i = 0; i < N_X; ++i) {
-        fb_real sum = fb_number(0.0);
-        if (!m->hermite) {
-            for (int k = m->n_dense - 1; k >= 0; --k)
-                sum = (sum + c->interpolant[k][i]) * y;
-        } else {
-            for (int k = m->n_dense + 2, turn = 0; k >= 0; --k, turn = !turn)
-                sum = (sum + c->interpolant[k][i]) * (turn ? 1.0 - y : y);
-        }
-        x[i] = c->x[i] + sum;
-    }
 }
 
 /* The samples within the steps from t to t_new that were accepted in the requested lanes. */
@@ -398,7 +374,7 @@ static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, c
         if (!prepared)
             fb_lanes_interpolant(c, e, h, x_new, within);
         prepared = 1; /* also for later rounds, which have fewer lanes */
-        fb_lanes_interpolate(c, e->method, (t - c->t) / h, x);
+        fb_interpolate_lanes(e->method, c->interpolant[0], N_X, N_X, c->x, (t - c->t) / h, x);
         if (e->project)
             fb_lanes_project(c, e, t, x, within, 0);
         for (int lane = 0; lane < FB_WIDTH; ++lane)

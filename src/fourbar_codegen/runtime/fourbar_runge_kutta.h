@@ -67,15 +67,9 @@ static inline double fb_error_of(const fb_stepper *s, const double h)
     fb_combine(s, s->weights.error, two ? 1.0 : h, NULL, error);
     if (two)
         fb_combine(s, s->weights.error + 1, 1.0, NULL, error3);
-    double sum = 0.0, sum3 = 0.0;
-    for (int i = 0; i < s->n; ++i) {
-        const double size = fabs(s->x[i]), size_new = fabs(s->x_new[i]);
-        const double scale = s->atol[i] + (size > size_new ? size : size_new) * s->rtol[i];
-        sum += (error[i] / scale) * (error[i] / scale);
-        if (two)
-            sum3 += (error3[i] / scale) * (error3[i] / scale);
-    }
-    return fb_error_norm(s->n, s->tableau->n_errors, h, sum, sum3);
+    double sums[2];
+    fb_error_sums(s->n, s->rtol, s->atol, s->x, s->x_new, error, two ? error3 : NULL, sums);
+    return fb_error_norm(s->n, s->tableau->n_errors, h, sums[0], sums[1]);
 }
 
 static inline int fb_runge_kutta_attempt(fb_stepper *s, const double t_new, double *error)

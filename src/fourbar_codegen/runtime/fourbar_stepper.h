@@ -130,22 +130,14 @@ static inline size_t fb_place_stepper(fb_stepper *s, const fb_method *method, co
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
-/* base + factor times the weighted sum of rows of length n, whole blocks; base may be NULL. */
-static FB_INLINE void fb_combine_rows(const double *rows, const int n, const fb_weights *w, const double factor,
-                                      const double *base, double *restrict result)
-{
-    for (int i = 0; i < n; i += FB_BLOCK) {
-        double sum[FB_BLOCK] = {0.0};
-        for (int j = 0; j < w->n; ++j) {
-            const double *const row = rows + w->stage[j] * n + i;
-            const double weight = w->weight[j];
-            for (int k = 0; k < FB_BLOCK; ++k)
-                sum[k] += weight * row[k];
-        }
-        for (int k = 0; k < FB_BLOCK; ++k)
-            result[i + k] = (base ? base[i + k] : 0.0) + factor * sum[k];
-    }
-}
+#define FB_VALUE double
+#define FB_OF(name) name
+#define FB_MAGNITUDE(value) fabs(value)
+#define FB_LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define FB_UNIT(value) (value)
+#define FB_IN_UNITS(value, unit) ((value) / (unit))
+#define FB_AT_ONCE FB_BLOCK
+#include "fourbar_stages.h"
 
 static inline void fb_combine(const fb_stepper *s, const fb_weights *w, const double factor, const double *base,
                               double *restrict result)
@@ -231,19 +223,6 @@ static inline int fb_resume(fb_stepper *s)
     return s->method->restart(s, s->t, s->x, s->stages);
 }
 
-/* The first three rows of an interpolant's coefficients, of length n, for a step of length h from x_old to x with the
- * rates f_old and f: the cubic Hermite polynomial. */
-static inline void fb_hermite_rows(const int n, const double h, const double *x_old, const double *x,
-                                   const double *f_old, const double *f, double *restrict rows)
-{
-    for (int i = 0; i < n; ++i) {
-        const double change = x[i] - x_old[i];
-        rows[i] = change;
-        rows[n + i] = h * f_old[i] - change;
-        rows[2 * n + i] = 2.0 * change - h * (f[i] + f_old[i]);
-    }
-}
-
 /* The coefficients of the last step's interpolant. */
 static inline int fb_prepare_interpolant(fb_stepper *s)
 {
@@ -266,23 +245,6 @@ static inline int fb_prepare_interpolant(fb_stepper *s)
     }
     s->interpolant_valid = 1;
     return 0;
-}
-
-/* The interpolant: rows of coefficients for t in (t_old, t_old + h). */
-static FB_INLINE void fb_interpolate(const fb_tableau *m, const double *coefficients, const int n, const int padded,
-                                     const double *x_old, const double y, double *restrict x)
-{
-    const int last = m->n_dense - 1 + (m->hermite ? 3 : 0);
-    for (int i = 0; i < n; ++i)
-        x[i] = 0.0;
-    for (int k = last; k >= 0; --k) {
-        const double *const row = coefficients + k * padded;
-        const double factor = m->hermite && (last - k) % 2 ? 1.0 - y : y;
-        for (int i = 0; i < n; ++i)
-            x[i] = (x[i] + row[i]) * factor;
-    }
-    for (int i = 0; i < n; ++i)
-        x[i] += x_old[i];
 }
 
 /* The state at a time in the last step by the coefficients of its interpolant, of methods that have one. */

@@ -173,7 +173,6 @@ def export_fmu(
                     "these in Model(parameters=...)."
                 )
         from fourbar_codegen.codegen.fmu import (
-            FMU_HEADERS,
             build_description,
             description,
             fmu_source,
@@ -181,10 +180,11 @@ def export_fmu(
             variables_of,
         )
 
-        name, files = layout.name, _library_files(generated, progress, FMU_HEADERS)
+        name, main = layout.name, fmu_source(fmi, layout, method)
+        files = _library_files(generated, progress, main)
         variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
         sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
-        sources[f"{name}_fmu.c"] = fmu_source(fmi, layout, method)
+        sources[f"{name}_fmu.c"] = main
         progress.stage("compiling")
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary)
@@ -220,19 +220,18 @@ def _at_start(model: Model, name: str) -> float:
     return float(value) if value.is_number and value.is_finite else float("nan")
 
 
-def _library_files(generated: Generated, progress: Progress, more: tuple[str, ...] = ()) -> dict[str, str]:
-    """All files of a library, by their paths, with further headers for others than users of C, such as an FMU's."""
-    from fourbar_codegen.codegen.c_library import FOLDER, HEADERS, library_texts
+def _library_files(generated: Generated, progress: Progress, main: str | None = None) -> dict[str, str]:
+    """All files of a library, by their paths; for others than users of C, with what the source `main` includes."""
+    from fourbar_codegen.codegen.c_library import library_texts
 
     progress.stage("printing the library")
     _, functions = generate_derivatives(generated.equations, generated.scheduled.program)
-    folder = Path(get_include())
-    runtime = {name: (folder / name).read_text("utf-8") for name in (*HEADERS, *more)}
+    runtime = {path.name: path.read_text("utf-8") for path in Path(get_include()).glob("*.h")}
     texts = library_texts(
-        generated.scheduled, functions, generated.names, generated.layout, _version(), runtime, names_entries=not more
+        generated.scheduled, functions, generated.names, generated.layout, _version(), runtime, main=main
     )
     _check_initial_speeds(generated)
-    return texts | {f"{FOLDER}{name}": text for name, text in runtime.items()}
+    return texts
 
 
 def _check_initial_speeds(generated: Generated) -> None:

@@ -16,20 +16,10 @@ from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
 from fourbar_codegen.roles import QUANTITIES, Method, Role, Status
 
-__all__ = ["FOLDER", "HEADERS", "library_texts"]
+__all__ = ["FOLDER", "library_texts"]
 
 FOLDER = "runtime/"
 """Of the headers that the sources include, beside these."""
-
-HEADERS = (
-    "fourbar_angle.h", "fourbar_array.h", "fourbar_close.h", "fourbar_columns.h", "fourbar_enums.h",
-    "fourbar_forces.h", "fourbar_kernel.h", "fourbar_library.h", "fourbar_model.h", "fourbar_normal.h",
-    "fourbar_ordered.h", "fourbar_pivoted.h", "fourbar_problem.h", "fourbar_real.h", "fourbar_recursive.h",
-    "fourbar_run.h", "fourbar_runge_kutta.h", "fourbar_sine.h", "fourbar_solve.h", "fourbar_sparse.h",
-    "fourbar_stages.h",
-    "fourbar_step_control.h", "fourbar_stepper.h", "fourbar_tableau.h",
-)  # fmt: skip
-"""The runtime of a library."""
 
 KEYWORDS = """
     alignas alignof and asm auto bitand bitor bool break case catch char class compl concept const consteval
@@ -229,9 +219,9 @@ def library_texts(
     version: str,
     runtime: Mapping[str, str],
     *,
-    names_entries: bool = True,
+    main: str | None = None,
 ) -> dict[str, str]:
-    """The files of a library, besides those of its runtime, by their paths.
+    """The files of a library, by their paths.
 
     Parameters
     ----------
@@ -243,9 +233,10 @@ def library_texts(
     version : str
         Of fourbar_codegen.
     runtime : mapping of str to str
-        Text of the runtime's headers, by name.
-    names_entries : bool, optional
-        Whether numbers of array entries have names in C, which the model's names must then be.
+        Text of the headers of the runtime, by name; a library has those that its sources include.
+    main : str, optional
+        The text of a source besides, for others than users of C: numbers of array entries then have no names in C,
+        which the model's names would have to be.
 
     Returns
     -------
@@ -268,7 +259,7 @@ def library_texts(
     scalar = replace(scheduled, has_batches=False, functions=functions_of_library)
     header = f'#define FB_WITHOUT_TYPE\n#include "{name}.h"\n'
     texts = {
-        f"{name}.h": _header(scheduled.program, names if names_entries else {}, layout, version),
+        f"{name}.h": _header(scheduled.program, {} if main else names, layout, version),
         f"{name}.c": kernel_text(
             scalar,
             names,
@@ -283,8 +274,21 @@ def library_texts(
         "CMakeLists.txt": _cmake(name),
         "README.md": _readme(name, layout, version),
     }
-    _check_name(name, texts, runtime)
-    return texts
+    headers = _included("\n".join((*texts.values(), main or "")), runtime)
+    _check_name(name, texts, headers)
+    return texts | {f"{FOLDER}{file}": text for file, text in headers.items()}
+
+
+def _included(text: str, runtime: Mapping[str, str]) -> dict[str, str]:
+    """The headers of the runtime that a text includes, by name, in alphabetic order; also those that these include."""
+    found: dict[str, str] = {}
+    waiting = [text]
+    while waiting:
+        names = re.findall(r'^ *# *include "(?:.*/)?(\w+\.h)"', waiting.pop(), flags=re.MULTILINE)
+        for name in (runtime.keys() & names) - found.keys():
+            found[name] = runtime[name]
+            waiting.append(runtime[name])
+    return dict(sorted(found.items()))
 
 
 def _check_name(name: str, texts: Mapping[str, str], runtime: Mapping[str, str]) -> None:

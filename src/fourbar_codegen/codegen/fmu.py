@@ -18,13 +18,10 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.roles import QUANTITIES
 
-__all__ = ["FMU_HEADERS", "build_description", "description", "fmu_source", "sources_of", "variables_of"]
+__all__ = ["build_description", "description", "fmu_source", "sources_of", "variables_of"]
 
 XML_CHARACTERS = "\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff"
 """Those of XML 1.0 (https://www.w3.org/TR/xml/#charsets), besides the ends of lines and tabulators."""
-
-FMU_HEADERS = ("fourbar_fmu.h", "fourbar_fmi2.h", "fourbar_fmi3.h")
-"""The runtime of an FMU, besides that of its library."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,12 @@ cdef extern from "fourbar_batch.h":
         double *rates
     int fb_batch_one_by_one(const fb_batch *, long, long) noexcept nogil
     const int FB_MEMBER_DONE
+    ctypedef struct fb_breaks:
+        int n
+        const double *times
+        const double *before
+        const double *after
+        double first, last
     ctypedef struct fb_ensemble:
         const fb_kernel *kernel
         long n
@@ -35,11 +41,7 @@ cdef extern from "fourbar_batch.h":
         const fb_tableau *method
         int project
         double origin, t_bound, max_step
-        double first, last
-        const double *breaks
-        const double *before
-        const double *after
-        int n_breaks
+        fb_breaks breaks
         long max_steps
         const double *rtol
         const double *atol
@@ -276,8 +278,8 @@ cdef class Members:
         cdef cnp.ndarray values = np.zeros((n, len(given)))
         towards = np.copysign(np.inf, t_bound - t)
         ends, before, after = breaks
-        e.first = after[0] if t in ends else -towards
-        e.last = before[len(ends) - 1] if t_bound in ends else towards
+        e.breaks.first = after[0] if t in ends else -towards
+        e.breaks.last = before[len(ends) - 1] if t_bound in ends else towards
         breaks, times = np.ascontiguousarray(breaks[:, (ends != t) & (ends != t_bound)]), times - t
         self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, breaks, values, given]
         self.samples, self.status, self.n_evaluations = samples, status, n_evaluations
@@ -296,8 +298,8 @@ cdef class Members:
         if not e.method.n_errors:
             raise ValueError(f"no step control for many runs: {method}")
         e.project, e.origin, e.t_bound, e.max_step, e.max_steps = project, t, t_bound - t, max_step, max_steps
-        e.n_breaks = np.shape(breaks)[1]
-        e.breaks, e.before, e.after = data(breaks), data(breaks) + e.n_breaks, data(breaks) + 2 * e.n_breaks
+        e.breaks.n, e.breaks.times = np.shape(breaks)[1], data(breaks)
+        e.breaks.before, e.breaks.after = data(breaks) + e.breaks.n, data(breaks) + 2 * e.breaks.n
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
         e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)

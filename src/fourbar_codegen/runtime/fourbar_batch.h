@@ -36,6 +36,14 @@ enum FB_MEMBER {
     FB_MEMBER_LEFT = 2 /* has to be run alone, which handles special cases */
 };
 
+/* Times between the ends of runs, in their order, at which steps end; inputs are evaluated from `first` on, at each of
+ * the times up to `before` and then from `after` on, up to `last`. */
+typedef struct fb_breaks {
+    int n;
+    const double *times, *before, *after; /* (n,) */
+    double first, last;
+} fb_breaks;
+
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {
     const fb_kernel *kernel; /* for one state */
@@ -48,11 +56,7 @@ typedef struct fb_ensemble {
     const fb_tableau *method;
     int project;
     double origin, t_bound, max_step; /* the start of all runs; the end, like all times of the runs, since the start */
-    double first, last;               /* interval in which inputs are evaluated */
-    /* (n_breaks,): intermediate times, in the order of the runs, at which steps end; inputs are evaluated up to
-     * `before`, and then from `after` on */
-    const double *breaks, *before, *after;
-    int n_breaks;
+    fb_breaks breaks;
     long max_steps;            /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */

@@ -3,6 +3,13 @@
  * failed projection, NaN) is marked and leaves its lane, to be run alone.
  */
 
+/* By which changes of the sign of det J_d are found: J at the beginning of the step; the signed pivot of its columns in
+ * the static pivot order, see `fb_signed_pivot`, NaN if unknown; the largest one of the run; and the units. */
+typedef struct fb_lane_signs {
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], signed_pivot, largest_pivot;
+    fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
+} fb_lane_signs;
+
 typedef struct fb_lanes {
     fb_lane_equations equations; /* must come first */
     fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
@@ -13,10 +20,7 @@ typedef struct fb_lanes {
     double h_abs[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_real first, last; /* of their pieces of time, see fb_clock */
-    /* J at the beginning of the step; the signed pivot of its columns in the static pivot order, see `fb_signed_pivot`,
-     * NaN if unknown; the largest one of the run; and the units */
-    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], signed_pivot, largest_pivot; /* not of sparse equations */
-    fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
+    fb_lane_signs signs; /* not of sparse equations */
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
     fb_problem problem;
@@ -48,15 +52,15 @@ static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, con
 /* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
 static inline double fb_lanes_bound(const fb_lanes *c, const fb_ensemble *e, const int lane)
 {
-    return c->next_break[lane] < e->n_breaks ? e->breaks[c->next_break[lane]] - e->origin : e->t_bound;
+    return c->next_break[lane] < e->breaks.n ? e->breaks.times[c->next_break[lane]] - e->origin : e->t_bound;
 }
 
 /* ... and the interval in which inputs are evaluated for it. */
 static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     const int next = c->next_break[lane];
-    const double first = next > 0 ? e->after[next - 1] : e->first;
-    const double last = next < e->n_breaks ? e->before[next] : e->last;
+    const double first = next > 0 ? e->breaks.after[next - 1] : e->breaks.first;
+    const double last = next < e->breaks.n ? e->breaks.before[next] : e->breaks.last;
     c->first[lane] = first < last ? first : last;
     c->last[lane] = first < last ? last : first;
 }
@@ -250,13 +254,13 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
         const double t = fb_time(&c->problem.clock, 0.0);
         fb_fill_inputs(&c->problem, t, x);
         s->kernel->velocity(t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
-        fb_put_lane(jacobian, lane, N_JACOBIAN, c->jacobian_before);
-        c->signed_pivot[lane] = NAN;
-        c->largest_pivot[lane] = 0.0;
+        fb_put_lane(jacobian, lane, N_JACOBIAN, c->signs.jacobian_before);
+        c->signs.signed_pivot[lane] = NAN;
+        c->signs.largest_pivot[lane] = 0.0;
         for (int j = 0; j < N_U; ++j)
-            c->column_unit[j][lane] = 0.0;
+            c->signs.column_unit[j][lane] = 0.0;
         for (int i = 0; i < N_C; ++i)
-            c->row_unit[i][lane] = 0.0;
+            c->signs.row_unit[i][lane] = 0.0;
 #endif
         while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == 0.0)
             fb_store(c, e, lane, c->x);
@@ -277,32 +281,33 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
     /* See fb_note_units; only the units of pivots matter here. */
     fb_real units_before[FB_AT_LEAST_1(N_C)], growth = fb_number(1.0);
     for (int k = 0; k < N_C; ++k)
-        units_before[k] = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
+        units_before[k] = c->signs.column_unit[static_pivot_speed[k]] * c->signs.row_unit[static_pivot_row[k]];
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
-            const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->column_unit[j]);
-            c->column_unit[j] = fb_select(asked, size, c->column_unit[j]);
+            const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->signs.column_unit[j]);
+            c->signs.column_unit[j] = fb_select(asked, size, c->signs.column_unit[j]);
         }
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j) {
             /* 0 / 0 is not greater. */
-            const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->column_unit[j];
-            c->row_unit[i] = fb_select(asked, fb_greater(share, c->row_unit[i]), c->row_unit[i]);
+            const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->signs.column_unit[j];
+            c->signs.row_unit[i] = fb_select(asked, fb_greater(share, c->signs.row_unit[i]), c->signs.row_unit[i]);
         }
     fb_real pivots[FB_AT_LEAST_1(N_C)];
     fb_pivots_lanes(&s->factors, pivots);
     for (int k = 0; k < N_C; ++k) {
-        const fb_real unit = c->column_unit[static_pivot_speed[k]] * c->row_unit[static_pivot_row[k]];
+        const fb_real unit = c->signs.column_unit[static_pivot_speed[k]] * c->signs.row_unit[static_pivot_row[k]];
         const fb_real pivot = fb_abs(pivots[k]) / unit;
         growth = fb_greater(unit / units_before[k], growth);
         signed_pivot = fb_select(pivot < signed_pivot, pivot, signed_pivot);
         sign = fb_select(pivots[k] < 0.0, -sign, sign);
     }
     signed_pivot = fb_select(s->factors.good, sign * signed_pivot, fb_number(NAN));
-    const fb_real both = signed_pivot * c->signed_pivot;
+    const fb_real both = signed_pivot * c->signs.signed_pivot;
     changed = asked & (both < 0.0);
-    c->largest_pivot = fb_select(asked, fb_greater(fb_abs(signed_pivot), c->largest_pivot / growth), c->largest_pivot);
-    const fb_mask close = fb_abs(signed_pivot) < FB_NEAR_SINGULAR_RATIO * c->largest_pivot;
+    c->signs.largest_pivot =
+        fb_select(asked, fb_greater(fb_abs(signed_pivot), c->signs.largest_pivot / growth), c->signs.largest_pivot);
+    const fb_mask close = fb_abs(signed_pivot) < FB_NEAR_SINGULAR_RATIO * c->signs.largest_pivot;
     const fb_mask unknown = asked & ((both != both) | close);
     if (fb_any(unknown))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
@@ -310,19 +315,19 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
                 double now[FB_AT_LEAST_1(N_JACOBIAN)], before[FB_AT_LEAST_1(N_JACOBIAN)];
                 fb_units units;
                 fb_factors factors;
-                fb_take_lane(c->column_unit, lane, N_U, units.column);
-                fb_take_lane(c->row_unit, lane, N_C, units.row);
+                fb_take_lane(c->signs.column_unit, lane, N_U, units.column);
+                fb_take_lane(c->signs.row_unit, lane, N_C, units.row);
                 fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
-                fb_take_lane(c->jacobian_before, lane, N_JACOBIAN, before);
+                fb_take_lane(c->signs.jacobian_before, lane, N_JACOBIAN, before);
                 if (fb_eliminate(now, &factors) != FB_OK ||
                     fb_signed_pivot(now, &units, factors.column) * fb_signed_pivot(before, &units, factors.column) <
                         0.0 ||
-                    fb_is_near_singular(now, &units, c->largest_pivot[lane]))
+                    fb_is_near_singular(now, &units, c->signs.largest_pivot[lane]))
                     changed[lane] = -1;
             }
     for (int i = 0; i < N_JACOBIAN; ++i)
-        c->jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->jacobian_before[i]);
-    c->signed_pivot = fb_select(asked, signed_pivot, c->signed_pivot);
+        c->signs.jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->signs.jacobian_before[i]);
+    c->signs.signed_pivot = fb_select(asked, signed_pivot, c->signs.signed_pivot);
 #else
     (void)c;
 #endif
@@ -383,16 +388,15 @@ static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, c
     }
 }
 
-/* A step in each lane, accepted where its error allows. */
-static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
+/* The ends of the next steps, that of a lane without a run where it is; and the lengths proposed for steps that end
+ * with their run, or at a breakpoint. Runs whose steps cannot be taken, or have collapsed, leave their lanes. */
+static void fb_lanes_propose(fb_lanes *restrict c, const fb_ensemble *e, double *t_new, double *proposed)
 {
-    const fb_tableau *const m = e->method;
     const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
-    double t_new[FB_WIDTH], proposed[FB_WIDTH] = {0.0};
-    fb_real h = fb_number(0.0), x_new[N_X], *const end = c->stages[m->n_stages];
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
         const double t = c->t[lane];
         t_new[lane] = t;
+        proposed[lane] = 0.0;
         if (!c->active[lane])
             continue;
         const double min_step = fb_least_step(t, direction);
@@ -411,11 +415,49 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
             t_new[lane] = bound;
             proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
         }
-        h[lane] = t_new[lane] - t;
-        c->h_abs[lane] = fabs(h[lane]);
+        c->h_abs[lane] = fabs(t_new[lane] - t);
     }
-    fb_real t_end;
+}
+
+/* The lengths of the next steps, by the errors of these, of which some were taken; returns the lanes that have passed a
+ * breakpoint. */
+static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const fb_real error, const fb_mask taken,
+                                const double *t_new, const double *proposed)
+{
+    const double order = e->method->order;
+    fb_mask passed = taken & 0;
+    for (int lane = 0; lane < FB_WIDTH; ++lane) {
+        if (!c->active[lane])
+            continue;
+        /* If a step could not be taken although its error allowed it, the error is unknown. */
+        const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
+        const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (order + 1.0));
+        c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
+        c->rejected[lane] = !taken[lane];
+        if (taken[lane]) {
+            c->n_steps[lane] += 1;
+            c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
+            if (t_new[lane] == e->t_bound)
+                fb_leave(c, e, lane, FB_MEMBER_DONE);
+            else if (t_new[lane] == fb_lanes_bound(c, e, lane)) {
+                c->next_break[lane] += 1;
+                fb_lanes_piece(c, e, lane);
+                passed[lane] = -1;
+            }
+        }
+    }
+    return passed;
+}
+
+/* A step in each lane, accepted where its error allows. */
+static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
+{
+    const fb_tableau *const m = e->method;
+    double t_new[FB_WIDTH], proposed[FB_WIDTH];
+    fb_real t_end, x_new[N_X], *const end = c->stages[m->n_stages];
+    fb_lanes_propose(c, e, t_new, proposed);
     memcpy(&t_end, t_new, sizeof t_end);
+    const fb_real h = t_end - c->t;
     for (int k = 1; k <= m->n_stages; ++k) {
         fb_lanes_combine(c, c->begin.weights.stage + k, h, c->x, x_new);
         if (k < m->n_stages)
@@ -444,27 +486,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
     }
     c->t = fb_select(taken, t_end, c->t);
-    fb_mask passed = taken & 0;
-    for (int lane = 0; lane < FB_WIDTH; ++lane) {
-        if (!c->active[lane])
-            continue;
-        /* If a step could not be taken although its error allowed it, the error is unknown. */
-        const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
-        const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (m->order + 1.0));
-        c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
-        c->rejected[lane] = !taken[lane];
-        if (taken[lane]) {
-            c->n_steps[lane] += 1;
-            c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
-            if (t_new[lane] == e->t_bound)
-                fb_leave(c, e, lane, FB_MEMBER_DONE);
-            else if (t_new[lane] == fb_lanes_bound(c, e, lane)) {
-                c->next_break[lane] += 1;
-                fb_lanes_piece(c, e, lane);
-                passed[lane] = -1;
-            }
-        }
-    }
+    const fb_mask passed = fb_lanes_control(c, e, error, taken, t_new, proposed);
     if (fb_any(passed)) { /* see fb_resume */
         fb_real rates[N_X];
         fb_lanes_rates(c, e, c->t, c->x, passed, rates);

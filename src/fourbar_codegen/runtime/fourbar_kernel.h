@@ -15,7 +15,7 @@
 
 #include <stddef.h>
 
-#define FB_ABI_VERSION 21
+#define FB_ABI_VERSION 22
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */

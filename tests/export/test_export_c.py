@@ -432,6 +432,7 @@ def test_c_library_statuses_of_failures_have_their_messages(exported):
     assert "outside of its range" in status("step", 1e-3, 5)
     assert "outside of its range" in status("step", np.inf, 4)
     assert "outside of its range" in status("simulate", 1.0, 0.0, 1e-9, None, 0, None)
+    assert "outside of its range" in status("simulate", 1.0, 1e-6, np.inf, None, 0, None)
     assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, np.array([0.5, 0.2]), 2, np.zeros((2, 6)))
     assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, None, 2, np.zeros((2, 6)))
     assert "outside of its range" in status("simulate", 1.0, 1e-6, 1e-9, np.array([0.5, 0.7]), 2, None)

@@ -153,8 +153,8 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
         click.option("--max-step", default=math.inf, help="Longest step, s; the step of ALI3P."),
         click.option(
             "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
-            help="Largest number of steps: by default 1,000,000 for explicit methods and ALI3P, 100,000 for others, or "
-            "ten times the number that --max-step requires, if that is more.",
+            help=f"Largest number of steps: by default 1,000,000 for {', '.join(SWEEP_METHODS)} and ALI3P, 100,000 for "
+            "others, or ten times the number that --max-step requires, if that is more.",
         ),
     ]  # fmt: skip
 

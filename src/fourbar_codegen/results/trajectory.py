@@ -350,13 +350,15 @@ class Trajectory:
 
         Its time does not grow with the number of parameters: about three times that of the run. An integral over time
         is a cost of the last sample, if the integrand is the rate of an auxiliary state. Times of samples are held,
-        also that of the end by an event; `event_sensitivity` has the derivatives of this time, and of the state there.
+        also that of the end by an event without ``t_eval``; `event_sensitivity` has the derivatives of this time, and
+        of the state there.
 
         Parameters
         ----------
         cost : array_like, shape (n_x, n_t), or mapping
             The derivatives of the cost with respect to the states at ``t``; or from names of states and outputs to the
-            derivatives with respect to these, each of shape (n_t,), or a number for all samples.
+            derivatives with respect to these, each of shape (n_t,), or a number for all samples. A sample at a terminal
+            event besides those of ``t_eval`` has none: n_t is then one less, as of ``run.y[:, :-1]``.
 
         Returns
         -------

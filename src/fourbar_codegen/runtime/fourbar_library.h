@@ -412,7 +412,8 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
 {
     fb_own *const own = own_of(model);
     own->clock = fb_all_time;
-    if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0) || !(atol > 0.0))
+    if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0 && rtol < INFINITY) ||
+        !(atol > 0.0 && atol < INFINITY))
         return FB_INVALID_ARGUMENT;
     fb_run *const run = run_of(model, fb_tableaus[model->method]);
     fb_stepper *const stepper = &run->stepper;

@@ -447,7 +447,7 @@ static inline int fb_has_collapsed(fb_run *r)
 {
     const fb_stepper *const s = &r->stepper;
     fb_pace *const pace = &r->pace;
-    const double share = s->n_steps > 9 ? r->h_abs * s->n_steps / fabs(s->t - pace->t_begin) : 1.0;
+    const double share = s->n_steps > 9 ? r->h_abs * (double)s->n_steps / fabs(s->t - pace->t_begin) : 1.0;
     if (share < FB_COLLAPSE && !pace->collapsed) {
         pace->collapsed = 1;
         return 1;

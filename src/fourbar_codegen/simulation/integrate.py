@@ -345,7 +345,8 @@ class _Integration:
             sentence = left(model, self.ode, input_times, y, options.parameters)
             status, message = (-1, sentence) if sentence else (status, message)
         if not self.singular:  # near singular positions speeds grow for that reason
-            message += _growth(self.ode, input_times, y, self.run, by_steps=self.t_eval is None)
+            end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
+            message += _growth(self.ode, input_times, y, end, by_steps=self.t_eval is None)
         return status, message
 
     def _kept_steps(self, times: Floats) -> KeptSteps:
@@ -417,10 +418,10 @@ def _of_events(
     return found
 
 
-def _growth(ode: Ode, t: Floats, y: Floats, run: Run, *, by_steps: bool) -> str:
-    """A warning if the energy has grown suspiciously, or an empty text; see GROWN."""
-    n, end = len(t), run.t
-    kinetic, potential = reached = ode.energies(end, run.x)
+def _growth(ode: Ode, t: Floats, y: Floats, final: tuple[float, Floats], *, by_steps: bool) -> str:
+    """A warning if the energy has grown suspiciously up to the final time and state, or an empty text; see GROWN."""
+    n, end = len(t), final[0]
+    kinetic, potential = reached = ode.energies(*final)
     largest, low, high = 0.0, potential, potential  # NaN if unknown
     for i in range(0, n, n // SAMPLES + 1):
         found = ode.energies(t[i], y[:, i])

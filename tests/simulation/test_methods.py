@@ -19,6 +19,7 @@ TIGHT = {"rtol": 1e-8, "atol": 1e-8}
 METHODS = {
     "DOP853": (TIGHT, 1e-6),
     "RK45": (TIGHT, 1e-6),
+    "Tsit5": (TIGHT, 1e-6),
     "ALI3P": ({"max_step": 1e-3}, 1e-4),
     "RK23": ({"rtol": 1e-6, "atol": 1e-6}, 1e-4),
     "Radau": (TIGHT, 1e-6),
@@ -323,6 +324,7 @@ STIFF = {"rtol": 1e-6, "atol": 1e-6}
 ON_A_STIFF_DRIVE = {
     "DOP853": (STIFF, 1e-4, None),
     "RK45": (STIFF, 1e-4, None),
+    "Tsit5": (STIFF, 1e-4, None),
     "ALI3P": ({"max_step": 1e-2}, 1e-3, 20),
     "Radau": (STIFF, 1e-4, 20),
     "BDF": (STIFF, 1e-4, 20),

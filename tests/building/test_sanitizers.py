@@ -147,7 +147,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         fb_augmented augmented;
         double *const memory = doubles((int)fb_place_augmented(k, &augmented, NULL));
         fb_place_augmented(k, &augmented, memory);
-        stepper->augmented = &augmented;
+        stepper->own = &augmented;
         s.max_step = 0.01;
         fb_begin(&s);
         fb_run_on(&s, 10000);
@@ -167,7 +167,9 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         forward.fsal = forward.interpolant_valid = 0;
         fb_record record = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
                           .sample_row = calloc(50, sizeof(long))};
-        s.observer = (fb_observer){&forward, fb_forward_step, fb_forward_sample};
+        s.observer = (fb_observer){
+            .forward = &forward, .after_step = fb_forward_step, .take_back = fb_forward_take_back,
+            .at_sample = fb_forward_sample, .at_restart = fb_forward_restart, .at_end = fb_forward_end};
         s.record = &record;
         fb_keep_step(&s, 0.0);
         fb_begin(&s);
@@ -175,10 +177,8 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             s.t_bound = s.samples.until = table_times[1];
             problem.clock.last = nextafter(table_times[1], 0.0);
             fb_run_on(&s, 10000);
-            problem.clock = fb_all_time;
-            problem.clock.first = nextafter(table_times[1], 1.0);
-            s.t_bound = s.samples.until = 0.5;
-            fb_resume(stepper);
+            const fb_segment rest = {table_times[1], 0.5, nextafter(table_times[1], 1.0), INFINITY};
+            fb_enter(&s, &rest, NULL);
         }
         fb_adjoint adjoint;
         double *const memory = doubles((int)fb_place_adjoint(stepper, &adjoint, NULL));
@@ -338,9 +338,10 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
     fb_ensemble e = {
         .kernel = k, .n = N, .x = x, .p = ps, .n_sources = k->n_r < 2 ? k->n_r : 2, .sources = sources,
         .values = values,
-        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY, .first = -INFINITY,
-        .last = INFINITY, .breaks = table_times + 1, .before = table_times + 1, .after = table_times + 1,
-        .n_breaks = 1, .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
+        .method = method, .project = k->n_c > 0, .t_bound = 0.5, .max_step = INFINITY,
+        .breaks = {.n = 1, .times = table_times + 1, .before = table_times + 1, .after = table_times + 1,
+                   .first = -INFINITY, .last = INFINITY},
+        .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
         .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
     };
     on_threads(k, NULL, &e, 0);

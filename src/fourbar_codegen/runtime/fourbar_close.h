@@ -10,10 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-/* Steps of a run, iterations of Newton's method, and how often a step of it is halved. */
-#ifndef FB_MAX_RUN_STEPS
-#define FB_MAX_RUN_STEPS 1000000
-#endif
+/* Iterations of Newton's method, and how often a step of it is halved. */
 enum { FB_CLOSE_STEPS = 100, FB_CLOSE_HALVINGS = 20 };
 
 static inline double fb_min(const double a, const double b)

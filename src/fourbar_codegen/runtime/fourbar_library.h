@@ -24,6 +24,11 @@
 #define next_change(begin, end) (end)
 #endif
 
+/* The most steps of a run. */
+#ifndef FB_MAX_RUN_STEPS
+#define FB_MAX_RUN_STEPS 1000000
+#endif
+
 /* The rows of a run: those of its stepper, and two that it looks along. */
 enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 2 };
 

@@ -14,8 +14,9 @@ from fourbar_codegen.arguments import Values, flag, one_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
+from fourbar_codegen.roles import METHODS
 from fourbar_codegen.runtime.integrator import Ode, Stepper
-from fourbar_codegen.simulation.options import METHODS, RunOptions
+from fourbar_codegen.simulation.options import RunOptions
 from fourbar_codegen.simulation.simulate import make_stepper, simulate
 
 if TYPE_CHECKING:

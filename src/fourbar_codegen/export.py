@@ -19,7 +19,7 @@ from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.roles import VECTORS, Method
+from fourbar_codegen.roles import METHODS, VECTORS
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -160,7 +160,7 @@ def export_fmu(
     wanted = listed(quantities, f"quantities= is a sequence of {', '.join(names)}")
     for each in wanted:
         one_of(each, names, "quantity")
-    one_of(method, [each.name for each in Method], "method")
+    one_of(method, METHODS, "method")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout

@@ -10,6 +10,7 @@ from typing import NamedTuple, Self
 
 __all__ = [
     "DIRECTIONS",
+    "METHODS",
     "QUANTITIES",
     "VECTOR",
     "VECTORS",
@@ -68,6 +69,10 @@ class Method(_Enum):
     DOP853 = 0, "of order 8(5, 3), by Hairer, Norsett and Wanner"
     RK45 = 1, "of order 5(4), by Dormand and Prince"
     Tsit5 = 2, "of order 5(4), by Tsitouras"
+
+
+METHODS = tuple(method.name for method in Method)
+"""Their names in Python."""
 
 
 class StopReason(_Enum):

@@ -6,21 +6,26 @@ import sympy.physics.mechanics as me
 import fourbar_codegen as fb
 
 
-def oscillator():
-    """A mass on a spring, x = a cos(w t) with w^2 = k / m."""
-    q, u = me.dynamicsymbols("x v")
-    m, k = sm.symbols("m k")
+def on_a_line(mass, force):
+    """A mass at x, with the speed v, and a force along the line."""
+    x, v = me.dynamicsymbols("x v")
     frame, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
     origin.set_vel(frame, 0)
-    point.set_pos(origin, q * frame.x)
-    point.set_vel(frame, u * frame.x)
+    point.set_pos(origin, x * frame.x)
+    point.set_vel(frame, v * frame.x)
     system = me.System(frame, origin)
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(u - q.diff())
-    system.add_bodies(me.Particle("mass", point, m))
-    system.add_loads(me.Force(point, -k * q * frame.x))
-    return fb.Model(system, name="oscillator", parameters={m: 2.0, k: 8.0}, initial={q: 0.3, u: 0.0})
+    system.add_coordinates(x)
+    system.add_speeds(v)
+    system.add_kdes(v - x.diff())
+    system.add_bodies(me.Particle("mass", point, mass))
+    system.add_loads(me.Force(point, force * frame.x))
+    return system
+
+
+def oscillator():
+    """A mass on a spring, x = a cos(w t) with w^2 = k / m."""
+    (x, v), (m, k) = me.dynamicsymbols("x v"), sm.symbols("m k")
+    return fb.Model(on_a_line(m, -k * x), name="oscillator", parameters={m: 2.0, k: 8.0}, initial={x: 0.3, v: 0.0})
 
 
 def driven_oscillator(**more):

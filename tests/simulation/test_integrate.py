@@ -11,6 +11,7 @@ import pytest
 import scipy.integrate
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.oscillators import on_a_line
 from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
@@ -305,22 +306,12 @@ def test_run_with_an_output_as_terminal_event_ends_at_its_second_sign_change(t_e
     assert all(values[np.searchsorted(free.t, t)] >= 0 for t in up)
 
 
-def falling():
-    """y'' = -g + c y'^2: a fall with drag."""
-    y, v = me.dynamicsymbols("y v")
-    g, c = sm.symbols("g c")
-    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    point.set_pos(origin, y * ground.y)
-    point.set_vel(ground, v * ground.y)
-    system = System(ground, origin)
-    system.add_bodies(me.Particle("body", point, 1))
-    system.add_coordinates(y)
-    system.add_speeds(v)
-    system.add_kdes(v - y.diff(me.dynamicsymbols._t))
-    system.add_loads(me.Force(point, (c * v**2 - g) * ground.y))
-    values = {g: 10.0, c: 0.01}
-    return fb.Model(system, name="falling", parameters=values, initial={y: 1000.0, v: 0.0}, outputs={"height": y})
+def falling(*further, **more):
+    """x'' = -g + c x'^2, a fall with drag; and further forces."""
+    (x, v), (g, c) = me.dynamicsymbols("x v"), sm.symbols("g c")
+    system = on_a_line(1, c * v**2 - g + sum(further))
+    more = {"outputs": {"height": x}, **more}
+    return fb.Model(system, name="falling", parameters={g: 10.0, c: 0.01}, initial={x: 1000.0, v: 0.0}, **more)
 
 
 @pytest.mark.parametrize(
@@ -363,21 +354,8 @@ def test_a_terminal_event_before_all_samples_is_the_only_one(four_bar):
 
 def test_a_terminal_event_at_a_jump_of_an_input_is_the_last_sample():
     """An output that jumps with the force, at t = 0.5."""
-    y, v, force = me.dynamicsymbols("y v F")
-    model = falling()
-    system = model.system
-    system.add_loads(me.Force(system.bodies[0].masscenter, force * system.frame.y))
-    g, c = sm.symbols("g c")
-    pushed = fb.compile_model(
-        fb.Model(
-            system,
-            name="pushed",
-            parameters={g: 10.0, c: 0.01},
-            initial={y: 1000.0, v: 0.0},
-            inputs="auto",
-            outputs={"push": force - 1},
-        )
-    )
+    force = me.dynamicsymbols("F")
+    pushed = fb.compile_model(falling(force, inputs="auto", outputs={"push": force - 1}))
     inputs = {"F": ([0.0, 0.5], [0.0, 2.0], "hold")}
     for method in ("DOP853", "BDF"):
         run = pushed.simulate(
@@ -391,18 +369,8 @@ def test_a_terminal_event_at_a_jump_of_an_input_is_the_last_sample():
 @pytest.mark.parametrize("method", ["DOP853", "Radau"])
 def test_a_message_has_the_energy_at_a_terminal_event_and_not_that_of_the_step_beyond_it(method):
     """A cart pushed by 1 N from 0.03 m/s: the kinetic energy grows 280-fold until 0.5 m/s, and further in the step."""
-    y, v = me.dynamicsymbols("y v")
-    ground, origin, point = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    point.set_pos(origin, y * ground.x)
-    point.set_vel(ground, v * ground.x)
-    system = System(ground, origin)
-    system.add_bodies(me.Particle("cart", point, 1))
-    system.add_coordinates(y)
-    system.add_speeds(v)
-    system.add_kdes(v - y.diff(me.dynamicsymbols._t))
-    system.add_loads(me.Force(point, ground.x))
-    cart = fb.compile_model(fb.Model(system, name="cart", initial={y: 0.0, v: 0.03}))
+    x, v = me.dynamicsymbols("x v")
+    cart = fb.compile_model(fb.Model(on_a_line(1, 1), name="cart", initial={x: 0.0, v: 0.03}))
     event = fb.Event(lambda t, x: x[1] - 0.5, terminal=True)
     messages = {
         cart.simulate((0.0, 100.0), method=method, t_eval=t_eval, events=event).message for t_eval in (None, [0.0, 9.0])
@@ -422,7 +390,7 @@ def test_gradients_refer_to_the_samples_before_a_terminal_event():
         return 1000.0 - np.log(np.cosh(np.sqrt(g * 0.01) * 1.0)) / 0.01
 
     slope = (height(10.0 + 1e-4) - height(10.0 - 1e-4)) / 2e-4
-    assert run.gradient({"y": [1.0]})["g"] == pytest.approx(slope, rel=1e-6)
+    assert run.gradient({"x": [1.0]})["g"] == pytest.approx(slope, rel=1e-6)
     with pytest.raises(fb.ModelError, match=r"shape \(2, 1\) of the states over time, without one at a terminal event"):
         run.gradient(np.ones((2, 2)))
 

@@ -12,7 +12,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
-from fourbar_codegen.roles import Method
+from fourbar_codegen.roles import METHODS as SWEEP_METHODS
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,6 @@ __all__ = [
     "with_options",
 ]
 
-SWEEP_METHODS = tuple(method.name for method in Method)
 METHODS = (*SWEEP_METHODS, "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 
 MAX_MEMBERS = 1_000_000

@@ -330,6 +330,15 @@ def _identifiers(prefix: str, names: Sequence[str]) -> list[str]:
     return [f"{prefix}_{words}" for words in found]
 
 
+def _enumerators(entries: Sequence[tuple[str, int, str]]) -> str:
+    """Lines of an enumeration: names, values and comments."""
+    last = len(entries) - 1
+    return "".join(
+        f"    {name} = {value}{',' if k < last else ''}{f' /* {_plain(comment)} */' if comment else ''}\n"
+        for k, (name, value, comment) in enumerate(entries)
+    )
+
+
 def _entries(name: str, names: Mapping[str, Sequence[str]], layout: Layout) -> str:
     """Enumerations of the entries of arrays."""
     parameters = [
@@ -346,12 +355,10 @@ def _entries(name: str, names: Mapping[str, Sequence[str]], layout: Layout) -> s
     for letter, title, kinds, comments in described:
         entries = [entry for kind in kinds for entry in names.get(kind, ())]
         identifiers = _identifiers(f"{name}_{letter}", entries)
-        lines = [
-            f"    {identifier} = {k}{',' if k + 1 < len(entries) else ''}{f' /* {_plain(c)} */' if c else ''}\n"
-            for k, (identifier, c) in enumerate(zip(identifiers, comments or [""] * len(entries), strict=False))
-        ]
+        comments = comments or [""] * len(entries)
+        lines = _enumerators(list(zip(identifiers, range(len(entries)), comments, strict=False)))
         if lines:
-            text += f"\n/* {title}. */\nenum {name}_{letter}_names {{\n{''.join(lines)}}};\n"
+            text += f"\n/* {title}. */\nenum {name}_{letter}_names {{\n{lines}}};\n"
     return text
 
 
@@ -393,8 +400,8 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         n_points=sizes.n_points,
         n_dependent_coordinates=layout.n_dependent_coordinates,
         n_dependent_speeds=layout.n_dependent_speeds,
-        methods=_methods(name),
-        statuses=",\n".join(f"    {name}_{status.name.lower()} = {status.value}" for status in Status) + "\n",
+        methods=_enumerators([(f"{name}_{each.name.lower()}", each.value, each.comment) for each in Method]),
+        statuses=_enumerators([(f"{name}_{each.name.lower()}", each.value, "") for each in Status]),
         entries=_entries(name, names, layout),
         members=_members(name, n_x, max(sizes.n_p, 1), max(sizes.n_r, 1)),
         bytes=_memory(program),
@@ -402,13 +409,6 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         left_out=_left_out(layout),
         points=_points(layout),
         quantities=_declared_quantities(name),
-    )
-
-
-def _methods(name: str) -> str:
-    last = len(Method) - 1
-    return "".join(
-        f"    {name}_{each.name.lower()} = {each.value}{',' * (each < last)} /* {each.comment} */\n" for each in Method
     )
 
 

@@ -347,10 +347,6 @@ static inline int fb_forward_step(fb_stepper *stepper, fb_forward *f, const doub
         return status;
     *step_error = isfinite(soon) ? fb_forward_error(stepper, f, soon) : 0.0;
     f->fsal = !(*step_error >= 1.0);
-    if (!f->fsal) {
-        f->s_old = f->s;
-        f->s = s_old;
-    }
     for (int i = 0; i < f->size && f->fsal; ++i) {
         const double size = fabs(f->s[i]), faded = FB_FORWARD_FADING * f->lately[i];
         f->lately[i] = size > faded ? size : faded;
@@ -414,7 +410,10 @@ static inline int fb_forward_sample(fb_stepper *stepper, fb_forward *f, const lo
 
 static inline void fb_forward_take_back(fb_forward *f)
 {
-    memcpy(f->s, f->s_old, (size_t)f->size * sizeof *f->s);
+    double *const s = f->s;
+    f->s = f->s_old;
+    f->s_old = s;
+    f->fsal = 0;
 }
 
 /* Goes on from the state reached; if that has moved, S moves onto the tangent of the constraints. */

@@ -193,6 +193,15 @@ static inline int fb_step(fb_run *r)
     }
 }
 
+/* Takes the last step back, and its derivatives. */
+static inline void fb_undo(fb_run *r)
+{
+    fb_take_back(&r->stepper);
+    if (r->observer.forward)
+        r->observer.take_back(r->observer.forward);
+    r->samples.pending = 0;
+}
+
 /* One accepted step, and its derivatives, whose errors may ask for shorter ones: where the state rests, or moves
  * steadily, its own errors do not limit the steps at all. At a kink of a force, a derivative that was zero before may
  * have an error of its own size at any length of the step: after some attempts, it is compared with the size that it
@@ -226,8 +235,7 @@ static inline int fb_observed_step(fb_run *r)
             r->pace.n_limited += limits || attempt > 0;
             return FB_RUN_PAUSED;
         }
-        fb_take_back(s);
-        r->samples.pending = 0;
+        fb_undo(r);
         r->h_abs = length;
     }
 }
@@ -388,16 +396,22 @@ static inline void fb_note_pivot(fb_run *r)
     singular->typical = exp(singular->integral / fabs(s->t - r->pace.t_begin));
 }
 
-/* Whether event functions may have changed their signs in the last step. */
-static inline int fb_events_within(fb_run *r)
+/* Evaluates the event functions at the state reached; their values there before are kept. */
+static inline int fb_move_events_on(fb_run *r)
 {
-    fb_stepper *const s = &r->stepper;
-    fb_watch *const watch = &r->watch;
-    int found = 0;
+    const fb_watch *const watch = &r->watch;
     if (watch->n_events == 0)
         return 0;
     memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
-    const int status = fb_event_values(r, s->t, s->x, watch->value);
+    return fb_event_values(r, r->stepper.t, r->stepper.x, watch->value);
+}
+
+/* Whether event functions may have changed their signs in the last step. */
+static inline int fb_events_within(fb_run *r)
+{
+    const fb_watch *const watch = &r->watch;
+    const int status = fb_move_events_on(r);
+    int found = 0;
     for (int i = 0; i < watch->n_events; ++i)
         found |= fb_is_event(watch->old[i], watch->value[i], watch->direction[i]);
     return status < 0 ? status : found;
@@ -460,12 +474,9 @@ static inline int fb_has_collapsed(fb_run *r)
 /* Discards the last step: the run ends before it. */
 static inline void fb_discard(fb_run *r)
 {
-    fb_take_back(&r->stepper);
-    if (r->observer.forward)
-        r->observer.take_back(r->observer.forward);
+    fb_undo(r);
     if (r->record)
         r->record->n -= 1;
-    r->samples.pending = 0;
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
@@ -514,7 +525,6 @@ static inline void fb_set_segment(fb_run *r, const fb_segment *segment)
 static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x)
 {
     fb_stepper *const s = &r->stepper;
-    fb_watch *const watch = &r->watch;
     fb_set_segment(r, segment);
     if (x) {
         memcpy(s->x, x, (size_t)s->n * sizeof *x);
@@ -529,10 +539,8 @@ static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x
     if (r->record && x)
         fb_keep_step(r, 0.0);
     status = fb_resume(s);
-    if (status == 0 && watch->n_events > 0) {
-        memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
-        status = fb_event_values(r, s->t, s->x, watch->value);
-    }
+    if (status == 0)
+        status = fb_move_events_on(r);
     return status < 0 ? status : FB_RUN_PAUSED;
 }
 
@@ -541,15 +549,18 @@ static inline int fb_stop_within(fb_run *r, const double t)
 {
     fb_stepper *const s = &r->stepper;
     double *const along = r->watch.along;
-    int status = fb_state_at(s, t, along);
     r->samples.until = r->t_bound = t;
-    if (r->samples.times)
+    if (r->samples.times) { /* samples within the step, which need its end, are still to be taken */
         r->samples.pending = 1;
-    else if (status == 0) {
-        status = r->observer.forward ? r->observer.at_end(s, r->observer.forward, t, along) : 0;
-        memcpy(s->x, along, (size_t)s->n * sizeof *along);
-        s->t = t;
+        return 0;
     }
+    int status = fb_state_at(s, t, along);
+    if (status < 0)
+        return status;
+    if (r->observer.forward)
+        status = r->observer.at_end(s, r->observer.forward, t, along);
+    memcpy(s->x, along, (size_t)s->n * sizeof *along);
+    s->t = t;
     return status;
 }
 

@@ -1,7 +1,7 @@
 """Types of the compiled module integrator.pyx, which holds the documentation."""
 
 from collections.abc import Callable, Sequence
-from typing import Protocol, final
+from typing import Any, Protocol, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -128,6 +128,8 @@ class Run:
         events: Sequence[tuple[int, int]],
         look_at_all: bool,
     ) -> None: ...
+    @property
+    def foreign(self) -> Any: ...
     @property
     def toggled(self) -> bool: ...
     def dense_output(self) -> DenseOutput: ...

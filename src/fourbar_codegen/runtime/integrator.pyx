@@ -795,7 +795,7 @@ cdef class Run:
     cdef fb_augmented augmented
     cdef readonly Ode ode
     cdef object method
-    cdef object foreign
+    cdef readonly object foreign
     cdef list kept
     cdef double origin, t_begin, t_bound
     cdef double since_begin
@@ -1064,10 +1064,8 @@ cdef class Run:
         if self.times is not None:
             taken = self.n_taken + self.run.samples.n
             before = max(taken, np.searchsorted(self.run.direction * self.times, self.run.direction * t))
-            if not taken or self.times[taken - 1] != t:
-                self.times = np.append(self.times[:before], t)
-            else:
-                self.times = self.times[:before]
+            is_taken = taken and self.times[taken - 1] == t
+            self.times = np.append(self.times[:before], [] if is_taken else [t])
             since = self.times - self.origin
             if len(since) > taken:
                 data(since)[len(since) - 1] = self.run.t_bound

@@ -21,11 +21,12 @@ from fourbar_codegen.kernel.inputs import bind, by_member, by_name, input_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import QUIET_SECONDS
 from fourbar_codegen.results.ensemble import Ensemble
+from fourbar_codegen.roles import METHODS
 from fourbar_codegen.runtime.batch import DONE, Members, width
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
 from fourbar_codegen.simulation.integrate import REACHED_END
-from fourbar_codegen.simulation.options import METHODS, RunOptions
+from fourbar_codegen.simulation.options import RunOptions
 from fourbar_codegen.simulation.simulate import simulate
 
 __all__ = ["run"]

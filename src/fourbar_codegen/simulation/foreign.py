@@ -91,29 +91,25 @@ class ForeignMethod:
 
     def dense_output(self, t: float, project: bool) -> _Solution:
         """An object that stores the interpolants of all steps from an absolute time on."""
-        return _Solution(self, self._ode, project, t)
+        return _Solution(self._ode, project, t)
 
 
 class _Solution:
     """Dense output: the state at any time of a run."""
 
-    def __init__(self, method: ForeignMethod, ode: Ode, project: bool, t: float) -> None:
-        self._method: ForeignMethod | None = method
+    def __init__(self, ode: Ode, project: bool, t: float) -> None:
         self._ode, self._project, self._times, self._ends = ode, project, [t], [0.0]
         self._interpolants: list[DenseOutput] = []
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_method": None}  # needed to add steps alone
 
     def __len__(self) -> int:
         return len(self._interpolants)
 
     def add(self, run: Run) -> None:
         """Add the last step of a run."""
-        assert self._method is not None
+        last = run.foreign.interpolant()
         self._times.append(run.t)
-        self._ends.append(self._method.interpolant().t)
-        self._interpolants.append(self._method.interpolant())
+        self._ends.append(last.t)
+        self._interpolants.append(last)
 
     def __call__(self, t: Any) -> Floats:
         """The state at times t: shape (n_x,) for a number, (n_x, n) for n of them."""

@@ -138,7 +138,7 @@ class _Integration:
         self.status: int | None = None
         self.message = self.singular = ""
         self.samples: list[tuple[Floats, Floats]] = []
-        self.looks: Singular | None = None  # made where a run needs it
+        self.looks: Singular | None = None
         self.watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
         later = discontinuities(ode, *options.t_span, varied=self.differentiates)
         self.t_eval = options.t_eval
@@ -223,13 +223,17 @@ class _Integration:
     def _make_room(self) -> None:
         self.samples.append(self.run.take_samples())
 
+    def _singular(self) -> Singular:
+        """What detects singular positions, made where a run needs it."""
+        self.looks = self.looks or Singular(self.model)
+        return self.looks
+
     def _examine(self) -> None:
         """The last step may have an event, or pass a singular position; the dense output has it too."""
         run = self.run
         if run.toggled:
             self._make_room()
-            self.looks = self.looks or Singular(self.model)
-            self.singular = self.looks.within_step(run, self.samples)
+            self.singular = self._singular().within_step(run, self.samples)
             if self.singular:
                 run.discard()
                 self.status, self.message = -1, self.singular
@@ -272,8 +276,7 @@ class _Integration:
             return
         self._make_room()
         collapsed = reason is StopReason.COLLAPSED
-        self.looks = self.looks or Singular(self.model)
-        self.singular = self.looks.here(run, self.samples, collapsed=collapsed, varied=self.differentiates)
+        self.singular = self._singular().here(run, self.samples, collapsed=collapsed, varied=self.differentiates)
         if self.singular or not collapsed:
             own = self.foreign.message if self.foreign and reason is StopReason.FAILED else FAILED.get(reason, "")
             self.status, self.message = -1, self.singular or run.ode.failure or own

@@ -30,15 +30,12 @@ from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
-from fourbar_codegen.roles import Method
+from fourbar_codegen.roles import METHODS
 from fourbar_codegen.simulation.events import Event, events_of
 
-__all__ = ["FIXED_STEP", "METHODS", "SOLVERS", "RunOptions"]
+__all__ = ["FIXED_STEP", "SOLVERS", "RunOptions"]
 
 Floats = NDArray[np.float64]
-
-METHODS = tuple(method.name for method in Method)
-"""Explicit methods with step size control, in C."""
 
 FIXED_STEP = "ALI3P"
 """The method that passes singular positions, with a fixed step size; see ``fourbar_augmented.h``."""

@@ -39,7 +39,8 @@ lint:
 	$(BIN)/python tests/harness/scripts.py build/scripts
 	$(BIN)/oxlint --quiet --deny-warnings --config .oxlintrc.json build/scripts/*.js
 	for script in build/scripts/*.js; do node --check $$script || exit 1; done
-	$(BIN)/clang-format --dry-run --Werror src/fourbar_codegen/runtime/*.h tests/runtime/*.c
+	$(BIN)/clang-format --dry-run --Werror $(wildcard src/fourbar_codegen/runtime/*.h src/fourbar_codegen/runtime/*/*.h src/fourbar_codegen/runtime/*/*.inc) \
+		tests/runtime/*.c
 	PATH=$(BIN):$$PATH $(BIN)/cython-lint --max-line-length 120 src/fourbar_codegen/runtime/*.pyx src/fourbar_codegen/runtime/*.pxd
 
 # Without Ipopt, one page is built without its outputs, and says so.

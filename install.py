@@ -23,7 +23,7 @@ SILENCE = 4.0
 
 SOURCES = (
     *("pyproject.toml", "setup.py", "src/fourbar_codegen/roles.py"),
-    *(f"src/fourbar_codegen/runtime/*.{kind}" for kind in ("pyx", "pxd", "h")),
+    *(f"src/fourbar_codegen/runtime/**/*.{kind}" for kind in ("pyx", "pxd", "h", "inc")),
 )
 """What the extension modules are made of, beside the generated models; Python files are used where they stand."""
 

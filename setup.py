@@ -35,7 +35,7 @@ def extension(name: str, sources: list[Path | str], folder: Path | str) -> Exten
         f"fourbar_codegen.{name}",
         [str(source) for source in sources],
         include_dirs=[str(folder), RUNTIME, np.get_include()],
-        depends=[str(path) for path in sorted(Path(RUNTIME).glob("*.h")) + sorted(Path(RUNTIME).glob("*.pxd"))],
+        depends=[str(path) for kind in ("h", "inc", "pxd") for path in sorted(Path(RUNTIME).rglob(f"*.{kind}"))],
         define_macros=MACROS,
     )
 

@@ -5,7 +5,7 @@
  */
 #include "four_bar.h"
 
-#include "fourbar_run.h"
+#include "run/driver.h"
 #include "four_bar_kernel.h"
 
 #include <dlfcn.h>

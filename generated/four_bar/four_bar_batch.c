@@ -7,6 +7,6 @@
 #define FB_LANES
 #include "four_bar_kernel.c"
 #else /* without vectors */
-#include "fourbar_batch.h"
+#include "lanes/batch.h"
 const fb_batch_functions four_bar_batch_functions = {.layout = FB_LAYOUT};
 #endif

@@ -7,7 +7,7 @@
  *   r, inputs: F
  *   outputs: none
  *
- * fourbar_model.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
+ * kernel/kernel.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
  */
 #include "four_bar_kernel.h"
 

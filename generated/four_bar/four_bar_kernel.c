@@ -6,13 +6,13 @@
  *   r, inputs: F
  *   outputs: none
  *
- * The functions below evaluate straight-line code; fourbar_model.h, included at the end, solves the
+ * The functions below evaluate straight-line code; kernel/kernel.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.
- * fb_real is double, or a SIMD vector with a state in each lane; see fourbar_real.h.
+ * fb_real is double, or a SIMD vector with a state in each lane; see arithmetic/real.h.
  */
 #define FB_SHORT
 #include "four_bar_kernel.h"
-#include "fourbar_angle.h"
+#include "arithmetic/angle.h"
 
 #include <math.h>
 
@@ -379,7 +379,7 @@ static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_rea
 }
 
 #ifdef FB_LANES
-#include "fourbar_lanes.h"
+#include "lanes/equations.h"
 #else
 /* Breakpoints, times at which expressions of time may have a jump or a kink. */
 static void breakpoints(double t, const double *restrict constants, double *restrict breakpoints)
@@ -790,5 +790,5 @@ static const fb_function own_functions[FB_N_ROLES] = {
 };
 #endif
 
-#include "fourbar_model.h"
+#include "kernel/kernel.h"
 #endif

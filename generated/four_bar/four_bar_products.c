@@ -7,14 +7,14 @@
  *   r, inputs: F
  *   outputs: none
  *
- * fourbar_model.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
+ * kernel/kernel.h, in four_bar_kernel.c, solves the equations that they set up. Matrices are stored row by row.
  */
 #ifndef FB_TABLE /* as in the versions for processors with more instructions */
 #define FB_TABLE(name) four_bar_##name
 #endif
 #include "four_bar_kernel.h"
-#include "fourbar_angle.h"
-#include "fourbar_columns.h"
+#include "arithmetic/angle.h"
+#include "arithmetic/columns.h"
 
 #include <math.h>
 

@@ -1,4 +1,4 @@
-"""What fourbar_library.h has to be told of a model, as C text: for C libraries, FMUs and pages."""
+"""What export/library.h has to be told of a model, as C text: for C libraries, FMUs and pages."""
 
 from __future__ import annotations
 

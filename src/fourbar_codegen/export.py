@@ -13,7 +13,7 @@ from itertools import chain
 from pathlib import Path
 
 from fourbar_codegen.arguments import is_integer, listed, one_of
-from fourbar_codegen.building.toolchain import compile_shared, get_include
+from fourbar_codegen.building.toolchain import compile_shared, runtime_headers
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
 from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
@@ -183,7 +183,9 @@ def export_fmu(
         name, main = layout.name, fmu_source(fmi, layout, method)
         files = _library_files(generated, progress, main)
         variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
-        sources = {file: text for file, text in files.items() if file.endswith((".c", ".h")) and file != "main.c"}
+        sources = {
+            file: text for file, text in files.items() if file.endswith((".c", ".h", ".inc")) and file != "main.c"
+        }
         sources[f"{name}_fmu.c"] = main
         progress.stage("compiling")
         with tempfile.TemporaryDirectory() as temporary:
@@ -226,7 +228,7 @@ def _library_files(generated: Generated, progress: Progress, main: str | None = 
 
     progress.stage("printing the library")
     _, functions = generate_derivatives(generated.equations, generated.scheduled.program)
-    runtime = {path.name: path.read_text("utf-8") for path in Path(get_include()).glob("*.h")}
+    runtime = {name: path.read_text("utf-8") for name, path in runtime_headers().items()}
     texts = library_texts(
         generated.scheduled, functions, generated.names, generated.layout, _version(), runtime, main=main
     )

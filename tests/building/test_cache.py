@@ -537,9 +537,9 @@ def test_pickled_module_without_sources_is_refused_where_it_is_missing(tmp_path)
 def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_path):
     """Built with the headers of another version, in which a struct of ensembles has one more member."""
     headers = shutil.copytree(fb.get_include(), tmp_path / "headers")
-    text = (headers / "fourbar_batch.h").read_text()
+    text = (headers / "lanes/batch.h").read_text()
     assert "    long n_times;\n" in text
-    (headers / "fourbar_batch.h").write_text(text.replace("    long n_times;\n", "    long n_times, more;\n"))
+    (headers / "lanes/batch.h").write_text(text.replace("    long n_times;\n", "    long n_times, more;\n"))
     with monkeypatch.context() as patched:
         patched.setattr("fourbar_codegen.building.toolchain.get_include", lambda: str(headers))
         module = fb.build_model(slider(), tmp_path / "built", check=False)  # which would load it

@@ -175,12 +175,12 @@ RUNTIME = """
 #include <stdlib.h>
 #include <string.h>
 #define static static __attribute__((used)) /* so that all of it is compiled */
-#include "fourbar_augmented.h"
-#include "fourbar_batch.h"
-#include "fourbar_implicit.h"
-#include "fourbar_run.h"
-#include "fourbar_problem.h"
-#include "fourbar_tableau.h"
+#include "steppers/ali3p.h"
+#include "lanes/batch.h"
+#include "derivatives/implicit_residual.h"
+#include "run/driver.h"
+#include "kernel/problem.h"
+#include "steppers/tableaus.h"
 """
 MAIN = """
 #include "four_bar_kernel.h"

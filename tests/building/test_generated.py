@@ -182,8 +182,9 @@ def test_printed_expressions_mean_what_they_say(expr):
     ],
 )
 def test_static_pivot_order_needs_no_pivoting_along_a_motion(make):
-    """Each pivot is at least a quarter of the largest entry of its row, which is what fourbar_solve.h asks for. The
-    entries of row k after elimination are, up to a common factor, the minors of columns 0 to k - 1 and another one."""
+    """Each pivot is at least a quarter of the largest entry of its row, as linear_algebra/dense_equations.h asks for.
+    The entries of row k after elimination are, up to a common factor, the minors of columns 0 to k - 1 and another
+    one."""
     model = make()
     order = lower(model.name, form_equations(model)).pivot_order
     compiled = fb.compile_model(model)

@@ -25,14 +25,14 @@ pytestmark = pytest.mark.slow
 # samples, a table and an input held, and none at all.
 PROGRAM = """
 #include "fourbar_kernel.h"
-#include "fourbar_adjoint.h"
-#include "fourbar_augmented.h"
-#include "fourbar_batch.h"
-#include "fourbar_dependent.h"
-#include "fourbar_forward.h"
-#include "fourbar_implicit.h"
-#include "fourbar_run.h"
-#include "fourbar_jacobians.h"
+#include "derivatives/adjoint_sensitivity.h"
+#include "steppers/ali3p.h"
+#include "lanes/batch.h"
+#include "derivatives/dependent_variables.h"
+#include "derivatives/forward_sensitivity.h"
+#include "derivatives/implicit_residual.h"
+#include "run/driver.h"
+#include "lanes/jacobians.h"
 #include <pthread.h>
 #include <stdio.h>
 #include <stdlib.h>

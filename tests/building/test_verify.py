@@ -21,9 +21,9 @@ from fourbar_codegen.cli import main
 pytestmark = pytest.mark.usefixtures("unoptimized")
 
 WRONG_MULTIPLIERS = """\
-#include "fourbar_solve.h"
-#define fb_multipliers(mass_matrix, forcing, accelerations, s, multipliers) ((multipliers)[0] = 70.0)
-#include "fourbar_model.h"
+#include "linear_algebra/dense_equations.h"
+#define fb_dense_multipliers(mass_matrix, forcing, accelerations, s, multipliers) ((multipliers)[0] = 70.0)
+#include "kernel/kernel.h"
 """
 
 
@@ -35,7 +35,7 @@ WRONG_MULTIPLIERS = """\
         ("kernel_text", r"(forcing\[1\] = )", r"\g<1>1.001*", "function dynamics, result forcing"),
         ("kernel_text", r"(energies\[0\] = )", r"\g<1>1.0 + ", "function energy"),
         ("kernel_text", r"(position_jacobian\[1\] = )", r"\1-", "function position"),
-        ("kernel_text", r"#include \"fourbar_model.h\"", WRONG_MULTIPLIERS, "solution of M u'"),
+        ("kernel_text", r"#include \"kernel/kernel.h\"", WRONG_MULTIPLIERS, "solution of M u'"),
     ],
 )
 def test_a_defect_is_found_and_named(tmp_path, monkeypatch, text, pattern, replacement, function):

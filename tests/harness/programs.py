@@ -44,7 +44,7 @@ def compile_c(command, sources, output, include=(), environment=None):
     """
     digest = hashlib.sha256(repr((_version(tuple(command)), command)).encode())
     beside = {path for source in sources for path in source.parent.glob("*.[ch]")}
-    headers = {path for folder in include for path in Path(folder).glob("*.h")}
+    headers = {path for folder in include for kind in ("h", "inc") for path in Path(folder).rglob(f"*.{kind}")}
     for path in (*sources, *sorted(beside | headers)):
         digest.update(f"\0{path.name}\0".encode() + path.read_bytes())
     kept = Path(os.environ["FOURBAR_CODEGEN_CACHE"]) / "c-of-tests" / digest.hexdigest()

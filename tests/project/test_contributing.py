@@ -6,7 +6,7 @@ from collections import Counter
 from harness import PROJECT
 
 PACKAGE = PROJECT / "src" / "fourbar_codegen"
-SUFFIXES = {".py", ".pyx", ".h", ".js", ".html", ".css"}
+SUFFIXES = {".py", ".pyx", ".h", ".inc", ".js", ".html", ".css"}
 INSTALLED = PACKAGE / "prebuilt"
 """Here, an installation builds the models of generated/, with copies of their sources."""
 

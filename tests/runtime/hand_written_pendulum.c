@@ -5,10 +5,10 @@
  *   M = diag(m, m), f = (F, -m g); outputs: height y + l, and tension -2 l lambda.
  *
  * With -DTWICE the constraint is written twice, so that one of its rows is redundant. With -DFB_LANES these are
- * the functions for batches of states. fourbar_model.h solves the equations.
+ * the functions for batches of states. kernel/kernel.h solves the equations.
  */
+#include "arithmetic/real.h"
 #include "fourbar_kernel.h"
-#include "fourbar_real.h"
 
 #include <math.h>
 #include <string.h>
@@ -127,7 +127,7 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
 }
 
 #ifdef FB_LANES
-#include "fourbar_lanes.h"
+#include "lanes/equations.h"
 #else
 static void breakpoints(double t, const double *restrict constants, double *restrict times)
 {
@@ -266,7 +266,7 @@ static const fb_function own_functions[FB_N_ROLES] = {
                MATRIX(auxiliary_constraint_jacobian, 0, N_C)),
 };
 
-#include "fourbar_model.h"
+#include "kernel/kernel.h"
 
 /* Derivatives: columns are x, p, r; rows are those of q', of f - M u' + J^T lambda and -(J u' + gamma), ... */
 enum { N_ALL = N_X + N_P + N_R, N_ROWS = N_Q + N_U + N_C };

@@ -1,13 +1,13 @@
 /* Functions of the runtime's headers that depend on no model, with names to call them by. */
-#include "fourbar_angle.h"
-#include "fourbar_augmented.h"
-#include "fourbar_batch.h"
-#include "fourbar_run.h"
-#include "fourbar_velocity_jump.h"
+#include "arithmetic/angle.h"
+#include "derivatives/velocity_jump.h"
+#include "lanes/batch.h"
+#include "run/driver.h"
+#include "steppers/ali3p.h"
 
 #include <stdlib.h>
 
-/* fourbar_array.h */
+/* arithmetic/array.h */
 
 int eliminate_full(int n, double *a, double *b, double least)
 {
@@ -29,7 +29,7 @@ int all_are_finite(const double *values, int n)
     return all_finite(values, n);
 }
 
-/* fourbar_angle.h */
+/* arithmetic/angle.h */
 
 void sines(int n, const double *x, double *sine, double *cosine)
 {
@@ -48,7 +48,7 @@ void sines_of_four(int n, const double *x, double *sine, double *cosine)
     }
 }
 
-/* fourbar_problem.h */
+/* kernel/problem.h */
 
 double table_value(int n_intervals, int n_coefficients, const double *times, const double *coefficients, double before,
                    double after, double t, int *interval)
@@ -63,7 +63,7 @@ double time_within(double origin, double first, double last, double since)
     return fb_time(&clock, since);
 }
 
-/* fourbar_batch.h */
+/* lanes/batch.h */
 
 double entry(const double *values, int stride, int row, int i)
 {
@@ -71,7 +71,7 @@ double entry(const double *values, int stride, int row, int i)
     return fb_entry(&columns, row, i);
 }
 
-/* fourbar_step_control.h */
+/* steppers/step_control.h */
 
 double change(double factor, int taken, int rejected)
 {
@@ -93,7 +93,7 @@ int is_event(double before, double after, int direction)
     return fb_is_event(before, after, direction);
 }
 
-/* fourbar_tableau.h: the arrays of a method, by their names in fb_tableau */
+/* steppers/tableaus.h: the arrays of a method, by their names in fb_tableau */
 
 static const fb_tableau *const METHODS[] = {&fb_rk45, &fb_dop853, &fb_rk4, &fb_tsit5};
 
@@ -125,7 +125,7 @@ int tableau(int method, char name, double *values)
     }
 }
 
-/* fourbar_run.h: runs of x' = f(t, x) for any function f, as a kernel without constraints */
+/* run/driver.h: runs of x' = f(t, x) for any function f, as a kernel without constraints */
 
 enum { MOST = 8, WIDTH = FB_BLOCK, SAMPLES = 64 };
 
@@ -288,7 +288,7 @@ void read_samples(const run *s, double *t, double *x)
     memcpy(x, s->sample_x, (size_t)(s->run.samples.n * s->run.stepper.n) * sizeof *x);
 }
 
-/* fourbar_augmented.h: the linear algebra of a state, given M, f, J and gamma */
+/* steppers/ali3p.h: the linear algebra of a state, given M, f, J and gamma */
 
 static fb_augmented augmented_of(fb_kernel *k, double **memory, int n_u, int n_c, const double *mass_matrix,
                                  const double *forcing, const double *jacobian, const double *bias)
@@ -345,7 +345,7 @@ int augmented_solution(int n_u, int n_c, const double *mass_matrix, const double
     return found;
 }
 
-/* fourbar_velocity_jump.h: for u' = A r + b with two speeds and four inputs r, of which the last two are second
+/* derivatives/velocity_jump.h: for u' = A r + b with two speeds and four inputs r, of which the last two are second
  * derivatives of motions, and the first two their rates, 10 t + i before a jump at t = 1 and i^2 after it. */
 
 enum { JUMP_SPEEDS = 2, JUMP_INPUTS = 4 };

@@ -3,7 +3,7 @@
 #include "hand_written_pendulum.c"
 
 enum { N_DEPENDENT_COORDINATES = 1, N_DEPENDENT_SPEEDS = 1 };
-#include "fourbar_close.h"
+#include "kernel/loop_closure.h"
 
 /* x, y, u_x, u_y, of which y is a guess and u_y is overwritten. */
 int close_pendulum(const double *p, double *x)
@@ -19,12 +19,12 @@ double least_pivot(const double *x, const double *other)
 {
     const double p[N_P] = {1.0, 1.0, 1.0};
     double constants[N_CONSTANTS], r[N_R] = {0.0}, jacobian[N_C * N_U], bias[N_C];
-    static fb_work work;
-    memset(&work, 0, sizeof work);
+    static fb_pivot_history history;
+    memset(&history, 0, sizeof history);
     prepare(p, constants);
     velocity(0.0, other, constants, r, jacobian, bias);
-    fb_note_units(jacobian, &work.units);
-    return fb_least_pivot(0.0, x, constants, r, &work);
+    fb_note_units(jacobian, &history.units);
+    return fb_least_pivot(0.0, x, constants, r, &history);
 }
 
 void balance(int m, int n, double *a, double *b, double *unit)

@@ -1,6 +1,6 @@
 /* Sine and cosine of angles in the lanes of vectors. */
 #define FB_LANES
-#include "fourbar_angle.h"
+#include "arithmetic/angle.h"
 
 int width(void)
 {

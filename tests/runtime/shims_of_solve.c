@@ -5,8 +5,8 @@
  */
 #include <math.h>
 
-#include "fourbar_array.h"
-#include "fourbar_real.h"
+#include "arithmetic/array.h"
+#include "arithmetic/real.h"
 
 enum { N_U = SPEEDS, N_C = CONSTRAINTS, N_RANK = RANK };
 
@@ -25,7 +25,6 @@ enum {
     N_JACOBIAN = sizeof jacobian_column / sizeof *jacobian_column,
     N_BELOW = sizeof below / sizeof *below
 };
-#include "fourbar_sparse.h"
 
 #elif defined(FB_RECURSIVE)
 /* The pivots, then the inverse and M itself. */
@@ -44,10 +43,10 @@ enum { N_MASS = N_U + 2 * N_U * N_U };
 PRODUCT(mass_solve, double, 0)
 PRODUCT(mass_solve_simd, fb_simd, 0)
 PRODUCT(mass_product, fb_simd, 1)
-#include "fourbar_recursive.h"
-
-#else
-#include "fourbar_solve.h"
+#endif
+#include "linear_algebra/equations.h"
+#ifndef FB_SPARSE
+#include "linear_algebra/signed_pivot.h"
 #endif
 
 /* A status: of the factorization, or of the solution, for f, gamma and the size of gamma's terms. */
@@ -56,7 +55,7 @@ int solve(const double *mass, const double *jacobian, const double *forcing, con
 {
     static fb_factors factors; /* large */
     factors = (fb_factors){0};
-    int status = fb_factor(mass, jacobian, forcing, &factors);
+    int status = FB_FORM(factor)(mass, jacobian, forcing, &factors);
 #if defined(FB_RECURSIVE) || (defined(FB_SPARSE) && defined(FB_EARLY))
     *kind = factors.is_dense;
 #elif defined(FB_SPARSE)
@@ -68,9 +67,9 @@ int solve(const double *mass, const double *jacobian, const double *forcing, con
 #endif
     (void)terms, (void)left;
     if (status == FB_OK)
-        status = fb_solve_first(forcing, bias, &factors, accelerations);
+        status = FB_FORM(solve_first)(forcing, bias, &factors, accelerations);
     if (status == FB_OK)
-        fb_multipliers(mass, forcing, accelerations, &factors, multipliers);
+        FB_FORM(multipliers)(mass, forcing, accelerations, &factors, multipliers);
     return status;
 }
 
@@ -94,7 +93,7 @@ static void unknown_forces(double t, const double *x, const double *constants, c
     for (int i = 0; i < N_N * N_C; ++i)
         auxiliary_constraint_jacobian[i] = auxiliary_rows[N_N * N_U + i];
 }
-#include "fourbar_forces.h"
+#include "kernel/unknown_forces.h"
 
 /* u', and lambda followed by n, for forces by a law. */
 int solve_with_forces(law_of *given, const double *rows, const double *mass, const double *jacobian,
@@ -104,7 +103,7 @@ int solve_with_forces(law_of *given, const double *rows, const double *mass, con
     static fb_response response;
     law = given;
     auxiliary_rows = rows;
-    const int status = fb_factor(mass, jacobian, forcing, &factors);
+    const int status = FB_FORM(factor)(mass, jacobian, forcing, &factors);
     return status != FB_OK ? status
                            : fb_solve_with_forces(0.0, NULL, NULL, NULL, mass, forcing, bias, &factors, &response,
                                                   accelerations, multipliers);
@@ -119,7 +118,7 @@ int forces_vjp(law_of *given, const double *rows, const double *mass, const doub
     const double none[N_U] = {0.0};
     law = given;
     auxiliary_rows = rows;
-    const int status = fb_factor(mass, jacobian, none, &factors);
+    const int status = FB_FORM(factor)(mass, jacobian, none, &factors);
     if (status != FB_OK || !fb_evaluate_forces(0.0, NULL, NULL, NULL, forces, &response))
         return status != FB_OK ? status : FB_NOT_FINITE;
     fb_form_response(mass, &factors, &response);
@@ -134,13 +133,9 @@ int solve_columns(const double *mass, const double *jacobian, int n, const doubl
     static fb_factors factors;
     double none[N_U] = {0.0};
     factors = (fb_factors){0};
-    const int status = fb_factor(mass, jacobian, none, &factors);
+    const int status = FB_FORM(factor)(mass, jacobian, none, &factors);
     if (status == FB_OK)
-#ifdef FB_RECURSIVE
-        fb_solve_columns(sides, n, &factors, accelerations);
-#else
-        fb_solve_directions(n, sides, &factors, accelerations);
-#endif
+        FB_FORM(solve_directions)(n, sides, &factors, accelerations);
     return status;
 }
 

@@ -1,4 +1,4 @@
-"""The linear algebra of fourbar_augmented.h alone: penalties, mass-orthogonal corrections and shortest multipliers.
+"""The linear algebra of steppers/ali3p.h alone: penalties, mass-orthogonal corrections and shortest multipliers.
 
 A penalty of w times the size of M leaves an error of the order of 1 / w: FB_PROJECTION_PENALTY = 1e10, in three
 repetitions for accelerations, and FB_SHORTEST = 1e-10 for multipliers. Errors of rounding grow with w as well:

@@ -1,4 +1,4 @@
-"""Loop closure in C, fourbar_close.h, on the pendulum: y = +- sqrt(l^2 - x^2), u_y = -x u_x / y."""
+"""Loop closure in C, kernel/loop_closure.h, on the pendulum: y = +- sqrt(l^2 - x^2), u_y = -x u_x / y."""
 
 import ctypes
 

@@ -1,4 +1,4 @@
-"""Eliminations of fourbar_array.h and fourbar_close.h, against mpmath and against the structure of matrices.
+"""Eliminations of linear_algebra/elimination.h, against mpmath and against the structure of matrices.
 
 Gaussian elimination with partial pivoting solves a neighbouring system exactly, whose entries differ by at most 3 n
 units of rounding, 1.1e-16, times the growth of entries (N. J. Higham, Accuracy and Stability of Numerical Algorithms,

@@ -1,6 +1,7 @@
-"""Sine and cosine of fourbar_sine.h and fourbar_angle.h against mpmath, in units in the last place.
+"""Sine and cosine of arithmetic/sine.inc and arithmetic/angle.h against mpmath, in units in the last place.
 
-fourbar_sine.h states an error below 1.6 units; beyond FB_MAX_ANGLE = 1e6 the C library answers, within 1 unit (GNU C
+arithmetic/sine.inc states an error below 1.6 units; beyond FB_MAX_ANGLE = 1e6 the C library answers, within 1 unit (GNU
+C
 Library manual, "Known Maximum Errors in Math Functions").
 """
 

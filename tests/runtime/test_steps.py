@@ -1,6 +1,7 @@
 """Steps of explicit methods alone: coefficients, step control, interpolants and events, against SciPy's integrators.
 
-fourbar_runge_kutta.h states that a run without projection takes the same steps as SciPy's. Sums in another order differ
+steppers/runge_kutta.h states that a run without projection takes the same steps as SciPy's. Sums in another order
+differ
 by some 1e-16 of the state and coefficients up to 50; error estimates, in units of a tolerance of 1e-4, by 1e-12 or so,
 and lengths of steps after a rejected attempt by a fraction of that.
 """

@@ -1,4 +1,4 @@
-"""Tables of inputs: fb_table_value of fourbar_problem.h against SciPy, and their kinds as a kernel's inputs.
+"""Tables of inputs: fb_table_value of kernel/problem.h against SciPy, and their kinds as a kernel's inputs.
 
 Values are sums of four terms, evaluated in another order than SciPy's: 1e-14 of their size.
 """

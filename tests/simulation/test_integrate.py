@@ -43,7 +43,7 @@ def case(request):
 
 @pytest.mark.parametrize("method", METHODS)
 def test_tableau_coefficients_of_each_method_equal_scipys_to_the_bit(method):
-    text = (Path(fb.get_include()) / "fourbar_tableau.h").read_text()
+    text = (Path(fb.get_include()) / "steppers/tableaus.h").read_text()
 
     def array(name):
         numbers = re.search(rf"\bfb_{method.lower()}_{name}\[\d+\] = {{(.*?)}};", text, flags=re.DOTALL)[1]

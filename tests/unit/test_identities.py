@@ -223,7 +223,7 @@ FOUR = """{
 @pytest.mark.parametrize("flags", [[], ["-march=native"]], ids=["portable", "native"])
 def test_sine_and_cosine_in_loops_are_accurate_at_all_angles(tmp_path, loop, flags):
     (tmp_path / "angle.c").write_text(
-        '#include "fourbar_angle.h"\n'
+        '#include "arithmetic/angle.h"\n'
         f"void angles(const double *x, double *s, double *c, int n)\n{{\n    for (int i = 0; i < n; ++i) {loop}\n}}\n"
     )
     library = tmp_path / "angle.so"

@@ -83,5 +83,5 @@ static void fill_vectors(double t, const double *x, const double *constants, con
 {_vectors()}}}
 
 #define FB_MODEL fb_page
-#include "fourbar_page.h"
+#include "export/page.h"
 """

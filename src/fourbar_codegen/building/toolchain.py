@@ -44,6 +44,7 @@ __all__ = [
     "get_include",
     "library_toolchain",
     "run_tool",
+    "runtime_headers",
     "wasm_toolchain",
     "write_sources",
 ]
@@ -127,6 +128,13 @@ def get_include() -> str:
     return str(PACKAGE / "runtime")
 
 
+def runtime_headers() -> dict[str, Path]:
+    """The headers below `get_include`, by what sources include; also those that are included several times."""
+    folder = Path(get_include())
+    found = (path for kind in ("h", "inc") for path in folder.rglob(f"*.{kind}"))
+    return {path.relative_to(folder).as_posix(): path for path in sorted(found)}
+
+
 def library_toolchain() -> dict[str, object]:
     """Everything that a shared library depends on besides the sources: headers, compiler, flags and processor.
 
@@ -182,7 +190,7 @@ def _package_digest() -> str:
 
 @cache
 def _headers_digest() -> str:
-    return _digest(sorted(Path(get_include()).glob("*.h")))
+    return _digest(runtime_headers().values())
 
 
 def _digest(paths: Iterable[Path]) -> str:

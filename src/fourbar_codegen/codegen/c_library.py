@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
@@ -266,7 +267,7 @@ def library_texts(
             FOLDER,
             f"#define FB_LIBRARY\n{header}",
             f"{definitions_text(layout)}\n#define FB_MODEL {name}\n{_internal(name)}"
-            f'#include "{FOLDER}fourbar_library.h"\n{_quantities(name)}',
+            f'#include "{FOLDER}export/library.h"\n{_quantities(name)}',
         ),
         f"{name}_derivatives.c": derivatives_text(name, derivatives, names, FOLDER, header, _derivatives(name)),
         f"{FOLDER}{name}_kernel.h": header_text(scalar, names),
@@ -280,14 +281,16 @@ def library_texts(
 
 
 def _included(text: str, runtime: Mapping[str, str]) -> dict[str, str]:
-    """The headers of the runtime that a text includes, by name, in alphabetic order; also those that these include."""
+    """The headers of the runtime that a text includes, by path, in alphabetic order; also those that these include."""
     found: dict[str, str] = {}
-    waiting = [text]
+    waiting = [(text, "")]
     while waiting:
-        names = re.findall(r'^ *# *include "(?:.*/)?(\w+\.h)"', waiting.pop(), flags=re.MULTILINE)
-        for name in (runtime.keys() & names) - found.keys():
-            found[name] = runtime[name]
-            waiting.append(runtime[name])
+        including, folder = waiting.pop()
+        names = re.findall(r'^ *# *include "([^"]+)"', including, flags=re.MULTILINE)
+        paths = {posixpath.normpath(posixpath.join(folder, name.removeprefix(FOLDER))) for name in names}
+        for path in (runtime.keys() & paths) - found.keys():
+            found[path] = runtime[path]
+            waiting.append((runtime[path], posixpath.dirname(path)))
     return dict(sorted(found.items()))
 
 
@@ -464,7 +467,7 @@ def _left_out(layout: Layout) -> str:
 
 
 def _memory(program: Program) -> int:
-    """Bytes that fb_own of fourbar_library.h needs at most: eight for each number."""
+    """Bytes that fb_own of export/library.h needs at most: eight for each number."""
     s = program.sizes
     n_x, n_l, c, u, n = s.n_q + s.n_u + s.n_z, s.n_c + s.n_n, s.n_c, s.n_u, s.n_n
     padded = (n_x + 7) // 8 * 8

@@ -2,7 +2,8 @@
 
 An auxiliary speed w is zero at all times. Its row of Kane's equations, Q - M_a u' + J_a^T lambda = 0, is an equation
 for an unknown force n, such as the normal force at a contact. If n does no work in the motion, it follows from u' and
-lambda. If it does, as with friction mu n, u' depends on n, and both are found together, in C; see ``fourbar_forces.h``.
+lambda. If it does, as with friction mu n, u' depends on n, and both are found together, in C: see
+``kernel/unknown_forces.h``.
 
 Source: T. R. Kane and D. A. Levinson, *Dynamics: Theory and Applications*, 1985, sections 4.9 and 5.9.
 """

@@ -32,7 +32,7 @@ Matrix = Sequence[Sequence[float]]
 MIN_SPEEDS = 8
 MAX_CONSTRAINTS = 24
 """Most constraints of dense equations for which a pivot order is fixed at code generation. Batches of states need it;
-fourbar_solve.h uses it for fewer."""
+linear_algebra/dense_equations.h uses it for fewer."""
 
 NOISE_RTOL = 1e-9
 """Rows below this fraction of their size before are rounding errors of redundant ones."""
@@ -194,7 +194,7 @@ def solution_cost(n_u: int, n_c: int, structure: Structure | None) -> int:
 
 
 def recursive_cost(n_u: int, n_c: int, n_jacobian: int, operations: int) -> int:
-    """The same for a recursion, besides the solution for one right-hand side; see fourbar_recursive.h.
+    """The same for a recursion, besides the solution for one right-hand side; see linear_algebra/recursive_equations.h.
 
     Parameters
     ----------

@@ -138,7 +138,7 @@ class Structure:
         return any(step[n_u + row] < step[speed] for row, speed in self.jacobian_entries)
 
     def tables(self) -> dict[str, list[int]]:
-        """The index tables of fourbar_sparse.h.
+        """The index tables of linear_algebra/sparse_equations.h.
 
         In memory, the diagonal in the order of the steps comes first, then the columns below it.
         """

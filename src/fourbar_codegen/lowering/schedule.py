@@ -54,7 +54,7 @@ MAX_INLINED_OPERATIONS = 600
 of eight links (527), and 3 % for the bicycle (1301), which then takes 50 % longer to compile."""
 
 MAX_ARGUMENTS = 4
-"""Most arguments of functions that fourbar_real.h can evaluate lane by lane."""
+"""Most arguments of functions that arithmetic/real.h can evaluate lane by lane."""
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ class ScheduledFunction:
     n_carried : int
         Number of values that parts pass on to later ones.
     inline_angles : bool
-        Whether sines and cosines are those of fourbar_angle.h instead of the library's.
+        Whether sines and cosines are those of arithmetic/angle.h instead of the library's.
     factors : ScheduledFunction or None
         `Function.factors`.
     """
@@ -171,7 +171,7 @@ class Schedule:
         Whether there are functions for batches of states. There must be a fixed pivot order, x' must not need
         multipliers or unknown forces, and no function of many arguments may be called.
     is_short : bool
-        Whether the equations are inlined into their callers; see fourbar_real.h.
+        Whether the equations are inlined into their callers; see arithmetic/real.h.
     """
 
     program: Program

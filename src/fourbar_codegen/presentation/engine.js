@@ -1,4 +1,4 @@
-// Runs of a model that is compiled to WebAssembly, in a worker where there is one; fourbar_page.h has its functions.
+// Runs of a model that is compiled to WebAssembly, in a worker where there is one; export/page.h has its functions.
 
 // Takes requests {p, x, dependent, angle, signals, tables, begin, end, method, rtol, atol, times, from}: parameters, an initial
 // state of which some values are dependent, and guesses, and some are angles, and six numbers for each input, with the

@@ -1,7 +1,7 @@
 // What a run of a live page depends on, and what the engine takes of it.
 const data = JSON.parse(byId("data").textContent);
 
-// Inputs as functions of time, with the numbers and the order of coefficients of fourbar_page.h: their titles, and the
+// Inputs as functions of time, with the numbers and the order of coefficients of export/page.h: their titles, and the
 // names of their coefficients.
 const KINDS = {
   expression: {number: 0, title: "", names: []},

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Batches of states, and ensembles of runs: see ``fourbar_batch.h``."""
+"""Batches of states, and ensembles of runs: see ``lanes/batch.h``."""
 
 cimport cython
 cimport numpy as cnp
@@ -13,7 +13,7 @@ import numpy as np
 
 cnp.import_array()
 
-cdef extern from "fourbar_batch.h":
+cdef extern from "lanes/batch.h":
     ctypedef struct fb_batch_array:
         const double *values
         long stride
@@ -58,7 +58,7 @@ cdef extern from "fourbar_batch.h":
         int (*batch)(const fb_batch *, long, long) noexcept nogil
         int (*run)(const fb_ensemble *) noexcept nogil
 
-cdef extern from "fourbar_jacobians.h":
+cdef extern from "lanes/jacobians.h":
     const int FB_INDEX_1
     const int FB_INDEX_3
     ctypedef struct fb_jacobians:

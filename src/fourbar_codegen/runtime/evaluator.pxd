@@ -88,7 +88,7 @@ cdef extern from "fourbar_kernel.h":
 cdef enum:
     FB_ARRAYS = 8  # results or arguments of a function, at most
 
-cdef extern from "fourbar_problem.h":
+cdef extern from "kernel/problem.h":
     ctypedef struct fb_table:
         int n_intervals, n_coefficients
         const double *times

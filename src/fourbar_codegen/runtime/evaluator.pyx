@@ -15,7 +15,7 @@ from fourbar_codegen.errors import ModelError, SimulationError, shown
 
 cnp.import_array()
 
-cdef extern from "fourbar_dependent.h":
+cdef extern from "derivatives/dependent_variables.h":
     int FB_DETERMINED
     int FB_COORDINATES_UNDETERMINED
     int FB_SPEEDS_UNDETERMINED
@@ -29,7 +29,7 @@ cdef extern from "fourbar_dependent.h":
     int fb_implicit_derivatives(const fb_kernel *, double, const double *, const double *, const double *,
                                 fb_dependent *) noexcept nogil
 
-cdef extern from "fourbar_batch.h":
+cdef extern from "lanes/batch.h":
     int fb_batch_functions_agree(const fb_batch_functions *) noexcept nogil
 
 _UNDETERMINED = {FB_DETERMINED: "", FB_COORDINATES_UNDETERMINED: "coordinates", FB_SPEEDS_UNDETERMINED: "speeds"}
@@ -1104,7 +1104,7 @@ cdef class Evaluator:
 
 
 def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, int n_ud, p, r):
-    """The implicit derivatives of dependent coordinates and speeds, see ``fourbar_dependent.h``.
+    """The implicit derivatives of dependent coordinates and speeds, see ``derivatives/dependent_variables.h``.
 
     Parameters
     ----------

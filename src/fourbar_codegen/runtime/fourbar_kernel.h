@@ -35,8 +35,8 @@ typedef int fb_evaluation(double t, const double *x, const double *constants, co
 /* Where a function of the table is evaluated. A pointer that it does not need may be NULL.
  *
  * The residual, of which some are derivatives, is (f - M u' + J^T lambda, -(J u' + gamma), z'). If unknown forces n
- * drive the motion (fourbar_forces.h), they follow lambda in all arrays of multipliers; their effect is added to f, and
- * the rows Q - M_a u' + J_a^T lambda of the auxiliary speeds follow those of J. */
+ * drive the motion (kernel/unknown_forces.h), they follow lambda in all arrays of multipliers; their effect is added to
+ * f, and the rows Q - M_a u' + J_a^T lambda of the auxiliary speeds follow those of J. */
 typedef struct fb_at {
     double t;
     const double *x, *constants, *r;
@@ -80,7 +80,7 @@ static inline int fb_attach(fb_function *functions, const fb_part *part)
 /* The last call with the same `work`, if that helps: rhs at the same state, or project, which led there. */
 enum FB_LAST { FB_LAST_ANY = 0, FB_LAST_RHS = 1, FB_LAST_PROJECT = 2 };
 
-typedef struct fb_batch_functions fb_batch_functions; /* fourbar_batch.h */
+typedef struct fb_batch_functions fb_batch_functions; /* lanes/batch.h */
 
 typedef struct fb_kernel {
     int abi_version;

@@ -108,7 +108,7 @@ class Functions(Evaluator):
     ) -> tuple[Floats, Floats, Floats, Floats, Floats, Floats]:
         """For unknown forces n: F, (n_u,), dF/dn, Q, (n_n,), dQ/dn, M_a, (n_n, n_u), and J_a^T, (n_n, n_c).
 
-        See ``fourbar_forces.h``.
+        See ``kernel/unknown_forces.h``.
         """
         effect, wrt_forces, rest, rest_wrt_forces, mass, jacobian = self.evaluate(
             Role.UNKNOWN_FORCES, t, x, p, r, arguments=(forces,)

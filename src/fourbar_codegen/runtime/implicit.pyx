@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True
-"""Functions for implicit solvers: see ``fourbar_implicit.h``. Solvers call them often, with contiguous arrays of double
-of the right length, so nothing is checked or allocated."""
+"""Functions for implicit solvers: see ``derivatives/implicit_residual.h``. Solvers call them often, with contiguous
+arrays of double of the right length, so nothing is checked or allocated."""
 
 cimport cython
 cimport numpy as cnp
@@ -12,7 +12,7 @@ import numpy as np
 
 cnp.import_array()
 
-cdef extern from "fourbar_implicit.h":
+cdef extern from "derivatives/implicit_residual.h":
     int FB_INDEX_1
     int FB_INDEX_2
     int FB_INDEX_3

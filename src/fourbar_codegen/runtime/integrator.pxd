@@ -5,7 +5,7 @@ cimport numpy as cnp
 
 from fourbar_codegen.runtime.evaluator cimport Evaluator, fb_problem, fb_table
 
-cdef extern from "fourbar_tableau.h":
+cdef extern from "steppers/tableaus.h":
     ctypedef struct fb_tableau:
         int n_stages
         const double *a

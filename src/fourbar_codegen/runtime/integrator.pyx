@@ -20,7 +20,7 @@ from fourbar_codegen.roles import Method, StopReason
 
 cnp.import_array()
 
-cdef extern from "fourbar_stepper.h":
+cdef extern from "steppers/stepper.h":
     int FB_MAX_STAGES
     ctypedef struct fb_method:
         int (*init)(fb_stepper *, double, double, double, double *) noexcept nogil
@@ -50,18 +50,18 @@ cdef extern from "fourbar_stepper.h":
     int fb_prepare_interpolant(fb_stepper *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
 
-cdef extern from "fourbar_runge_kutta.h":
+cdef extern from "steppers/runge_kutta.h":
     const fb_method fb_runge_kutta
     double fb_fixed_time(double, double, long) noexcept nogil
     int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
 
-cdef extern from "fourbar_augmented.h":
+cdef extern from "steppers/ali3p.h":
     const fb_method fb_augmented_lagrangian
     ctypedef struct fb_augmented:
         long n_jacobians, n_factorizations
     size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
 
-cdef extern from "fourbar_run.h":
+cdef extern from "run/driver.h":
     int FB_RUN_PAUSED
     ctypedef struct fb_samples:
         const double *times
@@ -110,7 +110,7 @@ cdef extern from "fourbar_run.h":
     void fb_keep_step(fb_run *, double) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
 
-cdef extern from "fourbar_velocity_jump.h":
+cdef extern from "derivatives/velocity_jump.h":
     ctypedef struct fb_velocity_jump:
         double t_before, t_after
         const int *rate
@@ -118,7 +118,7 @@ cdef extern from "fourbar_velocity_jump.h":
         double *change
     int fb_speed_jump(fb_problem *, fb_velocity_jump *, const double *, double *, double *) noexcept nogil
 
-cdef extern from "fourbar_forward.h":
+cdef extern from "derivatives/forward_sensitivity.h":
     ctypedef struct fb_forward:
         int n_blocks, width, size, fsal
         double *directions
@@ -139,7 +139,7 @@ cdef extern from "fourbar_forward.h":
     int fb_forward_prepare_interpolant(fb_stepper *, fb_forward *) noexcept nogil
     size_t fb_place_forward(fb_stepper *, int, fb_forward *, double *) noexcept nogil
 
-cdef extern from "fourbar_adjoint.h":
+cdef extern from "derivatives/adjoint_sensitivity.h":
     ctypedef struct fb_adjoint:
         const double *rows
         fb_velocity_jump jump
@@ -765,7 +765,7 @@ _foreign_method.interpolate, _foreign_method.advance = _foreign_interpolate, _fo
 
 @cython.final
 cdef class Run:
-    """A run of a method in C, without Python between its steps: see ``fourbar_run.h``.
+    """A run of a method in C, without Python between its steps: see ``run/driver.h``.
 
     Parameters
     ----------
@@ -1136,7 +1136,7 @@ cdef class Run:
 
 
 cdef class Steps:
-    """The steps of a run, to differentiate costs of its samples backwards: see ``fourbar_adjoint.h``.
+    """The steps of a run, to differentiate costs of its samples backwards: see ``derivatives/adjoint_sensitivity.h``.
 
     Parameters
     ----------

@@ -38,7 +38,7 @@ __all__ = ["FIXED_STEP", "SOLVERS", "RunOptions"]
 Floats = NDArray[np.float64]
 
 FIXED_STEP = "ALI3P"
-"""The method that passes singular positions, with a fixed step size; see ``fourbar_augmented.h``."""
+"""The method that passes singular positions, with a fixed step size; see ``steppers/ali3p.h``."""
 
 SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
 """Methods of `fourbar_codegen.solvers` that are not entirely in C."""

@@ -104,7 +104,7 @@ class _Compiled(scipy.integrate.OdeSolver):
 
 
 class _Explicit(_Compiled):
-    """Stages and step size control in C: see ``runtime/fourbar_runge_kutta.h``."""
+    """Stages and step size control in C: see ``runtime/steppers/runge_kutta.h``."""
 
     # Attributes of scipy.integrate.RungeKutta, which has no type annotations.
     h_abs: float

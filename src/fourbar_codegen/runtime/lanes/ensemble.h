@@ -1,0 +1,528 @@
+/* Runs of an ensemble: the steps of steppers/runge_kutta.h with a run in each SIMD lane, with its own time and step.
+ * When a run ends, the next one takes its lane. A run with a special case (a singular position, collapsing steps, a
+ * failed projection, NaN) is marked and leaves its lane, to be run alone.
+ */
+
+/* By which changes of the sign of det J_d are found: J at the beginning of the step; the signed pivot of its columns in
+ * the static pivot order, see `fb_signed_pivot`, NaN if unknown; the largest one of the run; and the units. */
+typedef struct fb_lane_signs {
+    fb_real jacobian_before[FB_AT_LEAST_1(N_JACOBIAN)], signed_pivot, largest_pivot;
+    fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
+} fb_lane_signs;
+
+typedef struct fb_lanes {
+    fb_lane_equations equations; /* must come first */
+    fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
+    fb_real x[N_X], t; /* the runs' states and times */
+    fb_mask active;
+    fb_mask n_evaluations;
+    long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
+    double h_abs[FB_WIDTH];
+    int rejected[FB_WIDTH], next_break[FB_WIDTH];
+    fb_real first, last; /* of their pieces of time, see fb_clock */
+    fb_lane_signs signs; /* not of sparse equations */
+    fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
+    /* for the beginning of a run */
+    fb_problem problem;
+    fb_stepper begin;
+    double rows[FB_STEPPER_ROWS * FB_PADDED(N_X)];
+    double lane_failed[N_X], lane_moved[N_X];
+} fb_lanes;
+
+static inline void fb_lanes_inputs(fb_lanes *restrict c, const fb_ensemble *e, const fb_real t)
+{
+    if (N_R == 0)
+        return;
+    default_inputs(t, c->equations.constants, c->equations.inputs);
+    for (int k = 0; k < e->n_sources; ++k)
+        for (int lane = 0; lane < FB_WIDTH; ++lane) {
+            fb_source *const source = &c->sources[lane][k];
+            c->equations.inputs[source->input][lane] =
+                source->table ? fb_table_value(source->table, t[lane], &source->interval) : source->value;
+        }
+}
+
+/* See fb_time. */
+static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, const fb_real since)
+{
+    const fb_real t = e->origin + since;
+    return fb_select(t < c->first, c->first, fb_select(t > c->last, c->last, t));
+}
+
+/* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
+static inline double fb_lanes_bound(const fb_lanes *c, const fb_ensemble *e, const int lane)
+{
+    return c->next_break[lane] < e->breaks.n ? e->breaks.times[c->next_break[lane]] - e->origin : e->t_bound;
+}
+
+/* ... and the interval in which inputs are evaluated for it. */
+static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int lane)
+{
+    const int next = c->next_break[lane];
+    const double first = next > 0 ? e->breaks.after[next - 1] : e->breaks.first;
+    const double last = next < e->breaks.n ? e->breaks.before[next] : e->breaks.last;
+    c->first[lane] = first < last ? first : last;
+    c->last[lane] = first < last ? last : first;
+}
+
+/* x' of the requested lanes. */
+static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const fb_ensemble *e, const fb_real since,
+                                                     const fb_real *x, const fb_mask asked, fb_real *rates)
+{
+    const fb_real t = fb_lanes_time(c, e, since);
+    fb_lanes_inputs(c, e, t);
+    fb_lane_rates(&c->equations, t, x, asked, rates);
+    c->n_evaluations -= asked;
+}
+
+#define FB_VALUE fb_real
+#define FB_OF(name) name##_lanes
+#define FB_MAGNITUDE(value) fb_abs(value)
+#define FB_LARGER(a, b) fb_greater(b, a)
+#define FB_UNIT(value) (1.0 / (value)) /* divisions take long in lanes */
+#define FB_IN_UNITS(value, unit) ((value) * (unit))
+#define FB_AT_ONCE 1
+#include "../steppers/stages.inc"
+
+static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights *w, const fb_real factor,
+                                    const fb_real *base, fb_real *restrict result)
+{
+    fb_combine_rows_lanes(c->stages[0], N_X, w, factor, base, result);
+}
+
+/* The square of the error estimate in units of the tolerances, times the number of states; see `fb_error_norm`. */
+static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
+                                     const fb_real *restrict x_new)
+{
+    const int two = e->method->n_errors == 2;
+    fb_real error[N_X], error3[N_X], sums[2];
+    fb_lanes_combine(c, c->begin.weights.error, two ? fb_number(1.0) : h, NULL, error);
+    if (two)
+        fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error3);
+    fb_error_sums_lanes(N_X, e->rtol, e->atol, c->x, x_new, error, two ? error3 : NULL, sums);
+    if (!two)
+        return sums[0];
+    /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
+    const fb_real squared = h * h * sums[0] * sums[0] / (sums[0] + 0.01 * sums[1]);
+    return fb_select((sums[0] == 0.0) & (sums[1] == 0.0), fb_number(0.0), squared);
+}
+
+/* Newton's method as in `project` of kernel/projection.h, with the factors of the last evaluation, for the requested
+ * lanes; returns the lanes that satisfy the constraints. */
+static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
+{
+    fb_lane_equations *const s = &c->equations;
+    fb_real positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
+    fb_real position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
+    fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)];
+    fb_real last = fb_number(INFINITY);
+    fb_mask open = asked & s->factors.good, closed = open & 0;
+    constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
+    for (int i = 0; i < MAX_CORRECTIONS && fb_any(open); ++i) {
+        constraint_violation(t, x, s->constants, s->inputs, positions, velocities);
+        fb_real size = fb_number(0.0), sum = size;
+        for (int j = 0; j < N_C; ++j) {
+            /* 0 / 0 counts as no violation. */
+            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
+            size = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], size);
+            sum += positions[j] + velocities[j];
+        }
+        for (int j = N_C; j < N_C + N_I; ++j) {
+            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
+            sum += positions[j];
+        }
+        open &= sum - sum == 0.0;
+        fb_mask done = size <= FB_CLOSURE_RTOL;
+        if (i > 1) {
+            const fb_mask stagnates = ~(size < 0.5 * last);
+            done |= stagnates & (size <= FB_LOOSE_CLOSURE_RTOL);
+            closed |= open & done;
+            open &= ~stagnates;
+        }
+        closed |= open & done;
+        open &= ~done;
+        if (!fb_any(open))
+            break;
+        last = size;
+        fb_solve_lanes(NULL, positions, &s->factors, change);
+        coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
+        fb_solve_lanes(NULL, velocities, &s->factors, change);
+        if (N_I > 0) {
+            invariant_correction(t, x, s->constants, s->inputs, correction);
+            for (int j = 0; j < N_Q; ++j)
+                coordinate_changes[j] += correction[j];
+        }
+        for (int j = 0; j < N_Q; ++j)
+            x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
+        for (int j = 0; j < N_U; ++j)
+            x[N_Q + j] = fb_select(open, x[N_Q + j] + change[j], x[N_Q + j]);
+    }
+    return closed;
+}
+
+/* The same, by the kernel for single states where necessary; `factors_valid` says whether the factors are those of a
+ * state nearby. States that cannot be projected are unchanged, or NaN where the constraints have no value. */
+static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, const fb_ensemble *e,
+                                                          const fb_real since, fb_real *restrict x, const fb_mask asked,
+                                                          const int factors_valid)
+{
+    fb_lane_equations *const s = &c->equations;
+    const fb_real t = fb_lanes_time(c, e, since);
+    fb_lanes_inputs(c, e, t);
+    if (!factors_valid) {
+        fb_real coordinate_rates[FB_AT_LEAST_1(N_Q)];
+        fb_form_lane_equations(s, t, x, coordinate_rates);
+    }
+    fb_real given[N_X];
+    memcpy(given, x, sizeof given);
+    fb_mask closed = fb_lanes_close(c, t, x, asked);
+    if (fb_any(asked & ~closed))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (asked[lane] & ~closed[lane]) {
+                fb_take_lane(given, lane, N_X, s->lane_x);
+                fb_take_lane(s->constants, lane, N_CONSTANTS, s->lane_constants);
+                fb_take_lane(s->inputs, lane, N_R, s->lane_inputs);
+                const int status =
+                    s->kernel->project(t[lane], s->lane_x, s->lane_constants, s->lane_inputs, 0, s->work);
+                closed[lane] = status == FB_OK ? -1 : 0;
+                for (int i = 0; i < N_X; ++i)
+                    x[i][lane] = status == FB_OK ? s->lane_x[i] : status == FB_NOT_FINITE ? NAN : given[i][lane];
+            }
+    return closed;
+}
+
+static inline void fb_leave(fb_lanes *c, const fb_ensemble *e, const int lane, const enum FB_MEMBER how)
+{
+    const long member = c->member[lane];
+    e->n_evaluations[member] = (long)c->n_evaluations[lane];
+    e->status[member] = (char)how;
+    __atomic_fetch_add(e->n_ended, 1, __ATOMIC_RELAXED);
+    c->active[lane] = 0;
+}
+
+/* The next sample of the run in a lane. */
+static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, const fb_real *x)
+{
+    double *const samples = e->samples + c->member[lane] * N_X * e->n_times + c->next_time[lane];
+    for (int i = 0; i < N_X; ++i)
+        samples[i * e->n_times] = x[i][lane];
+    c->next_time[lane] += 1;
+}
+
+/* Starts the next waiting member in a free lane. */
+static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
+{
+    fb_lane_equations *const s = &c->equations;
+    fb_stepper *const b = &c->begin;
+    for (;;) {
+        const long member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
+        if (member >= e->n)
+            return;
+        c->member[lane] = member;
+        c->next_time[lane] = c->n_steps[lane] = 0;
+        c->rejected[lane] = c->next_break[lane] = 0;
+        fb_lanes_piece(c, e, lane);
+        c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
+        double *const x = e->x + member * N_X;
+        s->kernel->prepare(e->p + member * N_P, s->lane_constants);
+        for (int k = 0; k < e->n_sources; ++k) {
+            c->sources[lane][k] = e->sources[k];
+            c->sources[lane][k].value = e->values[member * e->n_sources + k];
+        }
+        c->problem.sources = c->sources[lane];
+        c->problem.status = FB_OK;
+        b->t = 0.0;
+        b->n_evaluations = 0;
+        int status = e->project ? fb_problem_project(&c->problem, 0.0, x, 0) : FB_OK;
+        memcpy(b->x, x, N_X * sizeof *x);
+        double h_abs = NAN;
+        if (status == FB_OK)
+            status = fb_runge_kutta_init(b, e->t_bound > 0.0 ? 1.0 : -1.0, fabs(e->t_bound), e->max_step, &h_abs);
+        c->n_evaluations[lane] = b->n_evaluations;
+        if (status != FB_OK || !fb_finite(b->stages, N_X) || !isfinite(h_abs)) {
+            fb_leave(c, e, lane, FB_MEMBER_LEFT);
+            continue;
+        }
+        c->active[lane] = -1;
+        c->t[lane] = 0.0;
+        c->h_abs[lane] = h_abs;
+        fb_put_lane(x, lane, N_X, c->x);
+        fb_put_lane(b->stages, lane, N_X, c->stages[0]);
+        fb_put_lane(s->lane_constants, lane, N_CONSTANTS, s->constants);
+#ifndef FB_SPARSE
+        double jacobian[FB_AT_LEAST_1(N_JACOBIAN)], bias[FB_AT_LEAST_1(N_C)];
+        const double t = fb_time(&c->problem.clock, 0.0);
+        fb_fill_inputs(&c->problem, t, x);
+        s->kernel->velocity(t, x, s->lane_constants, s->lane_inputs, jacobian, bias);
+        fb_put_lane(jacobian, lane, N_JACOBIAN, c->signs.jacobian_before);
+        c->signs.signed_pivot[lane] = NAN;
+        c->signs.largest_pivot[lane] = 0.0;
+        for (int j = 0; j < N_U; ++j)
+            c->signs.column_unit[j][lane] = 0.0;
+        for (int i = 0; i < N_C; ++i)
+            c->signs.row_unit[i][lane] = 0.0;
+#endif
+        while (c->next_time[lane] < e->n_times && e->times[c->next_time[lane]] == 0.0)
+            fb_store(c, e, lane, c->x);
+        return;
+    }
+}
+
+/* Whether det J_d of the last evaluation has another sign than at the beginning of the step, as in
+ * kernel/singular_positions.h. In the requested lanes it is kept for the next step. */
+static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
+{
+    fb_mask changed = asked & 0;
+#ifndef FB_SPARSE
+    const fb_lane_equations *const s = &c->equations;
+    fb_real signed_pivot = fb_number(INFINITY), sign = fb_number(1.0);
+    if (N_C == 0 || N_RANK < N_C)
+        return changed;
+    /* See fb_note_units; only the units of pivots matter here. */
+    fb_real units_before[FB_AT_LEAST_1(N_C)], growth = fb_number(1.0);
+    for (int k = 0; k < N_C; ++k)
+        units_before[k] = c->signs.column_unit[static_pivot_speed[k]] * c->signs.row_unit[static_pivot_row[k]];
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            const fb_real size = fb_greater(fb_abs(s->constraint_jacobian[i * N_U + j]), c->signs.column_unit[j]);
+            c->signs.column_unit[j] = fb_select(asked, size, c->signs.column_unit[j]);
+        }
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            /* 0 / 0 is not greater. */
+            const fb_real share = fb_abs(s->constraint_jacobian[i * N_U + j]) / c->signs.column_unit[j];
+            c->signs.row_unit[i] = fb_select(asked, fb_greater(share, c->signs.row_unit[i]), c->signs.row_unit[i]);
+        }
+    fb_real pivots[FB_AT_LEAST_1(N_C)];
+    fb_pivots_lanes(&s->factors, pivots);
+    for (int k = 0; k < N_C; ++k) {
+        const fb_real unit = c->signs.column_unit[static_pivot_speed[k]] * c->signs.row_unit[static_pivot_row[k]];
+        const fb_real pivot = fb_abs(pivots[k]) / unit;
+        growth = fb_greater(unit / units_before[k], growth);
+        signed_pivot = fb_select(pivot < signed_pivot, pivot, signed_pivot);
+        sign = fb_select(pivots[k] < 0.0, -sign, sign);
+    }
+    signed_pivot = fb_select(s->factors.good, sign * signed_pivot, fb_number(NAN));
+    const fb_real both = signed_pivot * c->signs.signed_pivot;
+    changed = asked & (both < 0.0);
+    c->signs.largest_pivot =
+        fb_select(asked, fb_greater(fb_abs(signed_pivot), c->signs.largest_pivot / growth), c->signs.largest_pivot);
+    const fb_mask close = fb_abs(signed_pivot) < FB_NEAR_SINGULAR_RATIO * c->signs.largest_pivot;
+    const fb_mask unknown = asked & ((both != both) | close);
+    if (fb_any(unknown))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (unknown[lane]) {
+                double now[FB_AT_LEAST_1(N_JACOBIAN)], before[FB_AT_LEAST_1(N_JACOBIAN)];
+                fb_units units;
+                fb_dense_factors factors;
+                fb_take_lane(c->signs.column_unit, lane, N_U, units.column);
+                fb_take_lane(c->signs.row_unit, lane, N_C, units.row);
+                fb_take_lane(s->constraint_jacobian, lane, N_JACOBIAN, now);
+                fb_take_lane(c->signs.jacobian_before, lane, N_JACOBIAN, before);
+                if (fb_dense_eliminate(now, &factors) != FB_OK ||
+                    fb_signed_pivot(now, &units, factors.column) * fb_signed_pivot(before, &units, factors.column) <
+                        0.0 ||
+                    fb_is_near_singular(now, &units, c->signs.largest_pivot[lane]))
+                    changed[lane] = -1;
+            }
+    for (int i = 0; i < N_JACOBIAN; ++i)
+        c->signs.jacobian_before[i] = fb_select(asked, s->constraint_jacobian[i], c->signs.jacobian_before[i]);
+    c->signs.signed_pivot = fb_select(asked, signed_pivot, c->signs.signed_pivot);
+#else
+    (void)c;
+#endif
+    return changed;
+}
+
+/* The coefficients of the interpolants from the states x to x_new. */
+static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
+                                        const fb_real *x_new, const fb_mask within)
+{
+    const fb_tableau *const m = e->method;
+    const fb_stepper *const b = &c->begin;
+    fb_real scratch[N_X];
+    if (!m->hermite) {
+        for (int i = 0; i < m->n_dense; ++i)
+            fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[i]);
+        return;
+    }
+    for (int i = 0; i < m->n_extra; ++i) {
+        fb_lanes_combine(c, b->weights.extra + i, h, c->x, scratch);
+        fb_lanes_rates(c, e, c->t + m->c_extra[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
+    }
+    fb_hermite_rows_lanes(N_X, h, c->x, x_new, c->stages[0], c->stages[m->n_stages], c->interpolant[0]);
+    for (int i = 0; i < m->n_dense; ++i)
+        fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[3 + i]);
+}
+
+/* The samples within the steps from t to t_new that were accepted in the requested lanes. */
+static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
+                                   const fb_real *x_new, const fb_mask asked)
+{
+    const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
+    int prepared = 0;
+    for (;;) {
+        fb_mask within = asked & 0;
+        fb_real t = c->t, x[N_X];
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (asked[lane] && c->next_time[lane] < e->n_times) {
+                const double sample = e->times[c->next_time[lane]];
+                if (sample == t_new[lane])
+                    fb_store(c, e, lane, x_new);
+                else if (direction * (sample - t_new[lane]) < 0.0) {
+                    within[lane] = -1;
+                    t[lane] = sample;
+                }
+            }
+        if (!fb_any(within))
+            return;
+        if (!prepared)
+            fb_lanes_interpolant(c, e, h, x_new, within);
+        prepared = 1; /* also for later rounds, which have fewer lanes */
+        fb_interpolate_lanes(e->method, c->interpolant[0], N_X, N_X, c->x, (t - c->t) / h, x);
+        if (e->project)
+            fb_lanes_project(c, e, t, x, within, 0);
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (within[lane])
+                fb_store(c, e, lane, x);
+    }
+}
+
+/* The ends of the next steps, that of a lane without a run where it is; and the lengths proposed for steps that end
+ * with their run, or at a breakpoint. Runs whose steps cannot be taken, or have collapsed, leave their lanes. */
+static void fb_lanes_propose(fb_lanes *restrict c, const fb_ensemble *e, double *t_new, double *proposed)
+{
+    const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
+    for (int lane = 0; lane < FB_WIDTH; ++lane) {
+        const double t = c->t[lane];
+        t_new[lane] = t;
+        proposed[lane] = 0.0;
+        if (!c->active[lane])
+            continue;
+        const double min_step = fb_least_step(t, direction);
+        if (!c->rejected[lane])
+            c->h_abs[lane] = fb_first_length(c->h_abs[lane], e->max_step, min_step);
+        const double share = c->n_steps[lane] > 9 ? c->h_abs[lane] * c->n_steps[lane] / fabs(t) : 1.0;
+        /* Also if it is NaN. */
+        if (!(c->h_abs[lane] >= min_step) || !isfinite(c->h_abs[lane]) || share < FB_COLLAPSE ||
+            (e->max_steps > 0 && c->n_steps[lane] >= e->max_steps)) {
+            fb_leave(c, e, lane, FB_MEMBER_LEFT);
+            continue;
+        }
+        t_new[lane] = t + c->h_abs[lane] * direction;
+        const double bound = fb_lanes_bound(c, e, lane);
+        if (direction * (t_new[lane] - bound) > 0.0) {
+            t_new[lane] = bound;
+            proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
+        }
+        c->h_abs[lane] = fabs(t_new[lane] - t);
+    }
+}
+
+/* The lengths of the next steps, by the errors of these, of which some were taken; returns the lanes that have passed a
+ * breakpoint. */
+static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const fb_real error, const fb_mask taken,
+                                const double *t_new, const double *proposed)
+{
+    const double order = e->method->order;
+    fb_mask passed = taken & 0;
+    for (int lane = 0; lane < FB_WIDTH; ++lane) {
+        if (!c->active[lane])
+            continue;
+        /* If a step could not be taken although its error allowed it, the error is unknown. */
+        const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
+        const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (order + 1.0));
+        c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
+        c->rejected[lane] = !taken[lane];
+        if (taken[lane]) {
+            c->n_steps[lane] += 1;
+            c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
+            if (t_new[lane] == e->t_bound)
+                fb_leave(c, e, lane, FB_MEMBER_DONE);
+            else if (t_new[lane] == fb_lanes_bound(c, e, lane)) {
+                c->next_break[lane] += 1;
+                fb_lanes_piece(c, e, lane);
+                passed[lane] = -1;
+            }
+        }
+    }
+    return passed;
+}
+
+/* A step in each lane, accepted where its error allows. */
+static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
+{
+    const fb_tableau *const m = e->method;
+    double t_new[FB_WIDTH], proposed[FB_WIDTH];
+    fb_real t_end, x_new[N_X], *const end = c->stages[m->n_stages];
+    fb_lanes_propose(c, e, t_new, proposed);
+    memcpy(&t_end, t_new, sizeof t_end);
+    const fb_real h = t_end - c->t;
+    for (int k = 1; k <= m->n_stages; ++k) {
+        fb_lanes_combine(c, c->begin.weights.stage + k, h, c->x, x_new);
+        if (k < m->n_stages)
+            fb_lanes_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
+    }
+    if (!e->project || c->begin.weights.error[0].stage[c->begin.weights.error[0].n - 1] == m->n_stages)
+        fb_lanes_rates(c, e, t_end, x_new, c->active, end);
+    const fb_real error = fb_lanes_error(c, e, h, x_new);
+    fb_mask taken = c->active & (error < (double)N_X);
+    if (e->project && fb_any(taken)) {
+        taken = fb_lanes_project(c, e, t_end, x_new, taken, 1);
+        fb_lanes_rates(c, e, t_end, x_new, taken, end);
+    }
+    for (int i = 0; i < N_X; ++i)
+        taken &= end[i] - end[i] == 0.0;
+    const fb_mask changed = fb_toggled(c, taken);
+    if (fb_any(changed))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (changed[lane]) {
+                fb_leave(c, e, lane, FB_MEMBER_LEFT);
+                taken[lane] = 0;
+            }
+    fb_lanes_sample(c, e, h, t_new, x_new, taken);
+    for (int i = 0; i < N_X; ++i) {
+        c->x[i] = fb_select(taken, x_new[i], c->x[i]);
+        c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
+    }
+    c->t = fb_select(taken, t_end, c->t);
+    const fb_mask passed = fb_lanes_control(c, e, error, taken, t_new, proposed);
+    if (fb_any(passed)) { /* see fb_resume */
+        fb_real rates[N_X];
+        fb_lanes_rates(c, e, c->t, c->x, passed, rates);
+        for (int i = 0; i < N_X; ++i)
+            c->stages[0][i] = fb_select(passed, rates[i], c->stages[0][i]);
+    }
+}
+
+static int run(const fb_ensemble *e)
+{
+    fb_lanes *const c = (fb_lanes *)fb_new_lane_equations(e->kernel, sizeof *c);
+    if (c == NULL)
+        return -1;
+    fb_stepper *const b = &c->begin;
+    const fb_problem problem = {
+        .kernel = e->kernel,
+        .constants = c->equations.lane_constants,
+        .inputs = c->equations.lane_inputs,
+        .work = c->equations.work,
+        .n_sources = e->n_sources,
+        .failed_x = c->lane_failed,
+        .moved_x = c->lane_moved,
+    };
+    c->problem = problem;
+    b->problem = &c->problem;
+    b->rtol = e->rtol;
+    b->atol = e->atol;
+    fb_place_stepper(b, &fb_runge_kutta, e->method, N_X, c->rows);
+    for (;;) {
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (!c->active[lane])
+                fb_lanes_enter(c, e, lane);
+        if (!fb_any(c->active) || __atomic_load_n(e->stop, __ATOMIC_RELAXED))
+            break;
+        fb_lanes_step(c, e);
+    }
+    fb_free_lane_equations(&c->equations);
+    return 0;
+}

@@ -1,0 +1,76 @@
+/* The loop over the steps of a run; each part of it is in a file of its own. */
+#ifndef FOURBAR_DRIVER_H
+#define FOURBAR_DRIVER_H
+
+#include "events.h"
+#include "segments.h"
+#include "singular_positions.h"
+#include "step.h"
+#include "step_collapse.h"
+
+/* Looks at the last step: FB_RUN_PAUSED if there is nothing to examine. */
+static inline int fb_look(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_watch *const watch = &r->watch;
+    const int finds_singular = watch->singular.least_pivot != NULL;
+    /* Methods that pass singular positions need not detect them. */
+    watch->toggled = s->method->projects ? 0 : s->problem->kernel->toggled(s->problem->work);
+    if (watch->toggled)
+        watch->toggled = fb_toggled_within(r);
+    if (watch->toggled < 0)
+        return watch->toggled;
+    if (watch->toggled && finds_singular) {
+        const int passes = fb_passes_singular_position(r);
+        if (passes != 0)
+            return passes < 0 ? passes : FB_RUN_SINGULAR;
+    }
+    const int events = fb_events_within(r);
+    if (events < 0)
+        return events;
+    if (finds_singular)
+        fb_note_pivot(r);
+    return watch->look_at_all || events || (watch->toggled && !finds_singular) ? FB_RUN_EVENT : FB_RUN_PAUSED;
+}
+
+/* Discards the last step: the run ends before it. */
+static inline void fb_discard(fb_run *r)
+{
+    fb_undo(r);
+    if (r->record)
+        r->record->n -= 1;
+}
+
+/* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
+static inline int fb_run_on(fb_run *r, long n)
+{
+    for (;;) {
+        if (r->samples.pending) {
+            const int status = fb_sample(r);
+            if (status != FB_RUN_PAUSED)
+                return status;
+        }
+        if (r->stepper.t == r->t_bound)
+            return FB_RUN_END;
+        if (n-- <= 0)
+            return FB_RUN_PAUSED;
+        if (r->record && r->record->n == r->record->room)
+            return FB_RUN_FULL;
+        if (fb_has_collapsed(r))
+            return FB_RUN_COLLAPSED;
+        int status = fb_observed_step(r);
+        if (status > FB_RUN_PAUSED && fb_fails_near_singular_position(r))
+            return FB_RUN_SINGULAR;
+        if (status != FB_RUN_PAUSED)
+            return status;
+        if (r->record)
+            fb_keep_step(r, r->stepper.h);
+        status = fb_look(r);
+        if (status == FB_RUN_SINGULAR)
+            fb_discard(r);
+        if (status != FB_RUN_PAUSED)
+            return status;
+    }
+}
+
+#endif

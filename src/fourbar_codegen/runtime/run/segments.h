@@ -1,0 +1,82 @@
+/* The beginning of a run, its segments between breakpoints, restarts, and its end within a step. */
+#ifndef FOURBAR_SEGMENTS_H
+#define FOURBAR_SEGMENTS_H
+
+#include "events.h"
+#include "run.h"
+#include "samples.h"
+
+/* The part of a run between two boundaries: its beginning and end, by the run's clock; and the first and the last time,
+ * in the order of the run, at which inputs are evaluated. */
+typedef struct fb_segment {
+    double t, t_bound, first, last;
+} fb_segment;
+
+/* x' at the beginning, and the length of the first step. */
+static inline int fb_begin(fb_run *r)
+{
+    fb_stepper *const s = &r->stepper;
+    s->fsal = 0;
+    const int status = s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
+    fb_singular *const singular = &r->watch.singular;
+    if (status == 0 && singular->least_pivot) {
+        singular->typical = singular->least_pivot(s, s->t, s->x);
+        singular->integral = 0.0;
+    }
+    return status;
+}
+
+/* The segment in which the run goes on. */
+static inline void fb_set_segment(fb_run *r, const fb_segment *segment)
+{
+    fb_clock *const clock = &r->stepper.problem->clock;
+    clock->first = segment->first < segment->last ? segment->first : segment->last;
+    clock->last = segment->first < segment->last ? segment->last : segment->first;
+    r->stepper.t = segment->t;
+    r->t_bound = r->samples.until = segment->t_bound;
+}
+
+/* Goes on in a segment, from the state reached or from x; FB_RUN_OPEN if no state nearby satisfies the constraints. */
+static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x)
+{
+    fb_stepper *const s = &r->stepper;
+    fb_set_segment(r, segment);
+    if (x) {
+        memcpy(s->x, x, (size_t)s->n * sizeof *x);
+        r->samples.pending = 1;
+        const int status = s->project ? fb_problem_project(s->problem, s->t, s->x, 0) : FB_OK;
+        if (status != FB_OK)
+            return status < 0 ? status : FB_RUN_OPEN;
+    }
+    int status = r->observer.forward ? r->observer.at_restart(s, r->observer.forward, x != NULL) : 0;
+    if (status < 0)
+        return status;
+    if (r->record && x)
+        fb_keep_step(r, 0.0);
+    status = fb_resume(s);
+    if (status == 0)
+        status = fb_move_events_on(r);
+    return status < 0 ? status : FB_RUN_PAUSED;
+}
+
+/* Ends the run at a time within the last step, whose state is the last one. There are no samples after it. */
+static inline int fb_stop_within(fb_run *r, const double t)
+{
+    fb_stepper *const s = &r->stepper;
+    double *const along = r->watch.along;
+    r->samples.until = r->t_bound = t;
+    if (r->samples.times) { /* samples within the step, which need its end, are still to be taken */
+        r->samples.pending = 1;
+        return 0;
+    }
+    int status = fb_state_at(s, t, along);
+    if (status < 0)
+        return status;
+    if (r->observer.forward)
+        status = r->observer.at_end(s, r->observer.forward, t, along);
+    memcpy(s->x, along, (size_t)s->n * sizeof *along);
+    s->t = t;
+    return status;
+}
+
+#endif

@@ -78,7 +78,7 @@ class Recursive(Solver):
 
 
 class Sparse(Solver):
-    """Entries of M and J, in an elimination order, with the tables that linear_algebra/ldl.inc describes."""
+    """Entries of M and J, in an elimination order, with the tables that linear_algebra/sparse_ldl.inc describes."""
 
     def __init__(self, shared, name, n_u, mass, jacobian, order, *options):
         self.of_mass, self.of_jacobian = np.array(mass), np.array(jacobian)

@@ -188,26 +188,13 @@ int FB_EXPORT(sign_of_determinant)(void)
     enum { N = N_DEPENDENT_COORDINATES };
     double t, errors[FB_AT_LEAST_1(N_H)], slopes[FB_AT_LEAST_1(N_H * N_Q)], matrix[FB_AT_LEAST_1(N * N)];
     fb_problem *const problem = problem_now(&mechanism, &t);
-    int sign = N == N_H;
+    if (N != N_H)
+        return 0;
     position(t, mechanism.x, problem->constants, problem->inputs, errors, slopes);
-    for (int i = 0; i < N && sign; ++i)
+    for (int i = 0; i < N; ++i)
         memcpy(matrix + i * N, slopes + i * N_Q + N_Q - N, N * sizeof *matrix);
-    for (int k = 0; k < N && sign; ++k) {
-        int row = k;
-        for (int i = k + 1; i < N; ++i)
-            row = fabs(matrix[i * N + k]) > fabs(matrix[row * N + k]) ? i : row;
-        for (int j = k; j < N && row != k; ++j)
-            fb_swap_double(matrix + k * N + j, matrix + row * N + j);
-        const double pivot = matrix[k * N + k];
-        sign = pivot > 0.0 ? sign : pivot < 0.0 ? -sign : 0;
-        sign = row != k ? -sign : sign;
-        for (int i = k + 1; i < N; ++i) {
-            const double factor = matrix[i * N + k] / pivot;
-            for (int j = k; j < N; ++j)
-                matrix[i * N + j] -= factor * matrix[k * N + j];
-        }
-    }
-    return sign;
+    const double pivot = fb_signed_least_pivot(N, matrix);
+    return (pivot > 0.0) - (pivot < 0.0);
 }
 
 /* The value of an input at the time of the present state. */

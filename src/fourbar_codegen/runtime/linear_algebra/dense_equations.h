@@ -66,12 +66,13 @@ typedef struct fb_dense_factors {
 } fb_dense_factors;
 
 #define FB_VALUE double
+#define FB_SIDE double
 #define FB_FACTORS fb_dense_factors
 #define FB_OF(name) name
-#define FB_REQUIRE_POSITIVE(s, value)                                                                                  \
-    if (!((value) > 0.0))                                                                                              \
-    return FB_MASS_SINGULAR
-#include "lu.inc"
+#define FB_REQUIRE(s, condition, status)                                                                               \
+    if (!(condition))                                                                                                  \
+    return status
+#include "null_space.inc"
 
 /* P S J Q = L [U_d U_i]. */
 static inline int fb_dense_eliminate(const double *restrict jacobian, fb_dense_factors *restrict s)
@@ -94,28 +95,12 @@ static inline int fb_dense_eliminate(const double *restrict jacobian, fb_dense_f
             s->lu[i][j] = s->scale[i] * jacobian[i * N_U + j];
     }
     for (int k = 0; k < N_RANK; ++k) {
-        int pivot_row = k, pivot_column = k;
-        double pivot = -1.0;
-        for (int i = k; i < N_C; ++i)
-            for (int j = k; j < N_U; ++j)
-                if (fabs(s->lu[i][j]) > pivot) {
-                    pivot = fabs(s->lu[i][j]);
-                    pivot_row = i;
-                    pivot_column = j;
-                }
-        if (!(pivot > FB_ROW_RTOL))
+        int row, column;
+        if (!(fb_pivot_completely(N_C, N_U, s->lu[0], k, &row, &column) > FB_ROW_RTOL))
             return FB_CONSTRAINTS_DEPENDENT;
-        if (pivot_row != k) {
-            for (int j = 0; j < N_U; ++j)
-                fb_swap_double(&s->lu[k][j], &s->lu[pivot_row][j]);
-            fb_swap_int(&s->row[k], &s->row[pivot_row]);
-            fb_swap_double(&s->scale[k], &s->scale[pivot_row]);
-        }
-        if (pivot_column != k) {
-            for (int i = 0; i < N_C; ++i)
-                fb_swap_double(&s->lu[i][k], &s->lu[i][pivot_column]);
-            fb_swap_int(&s->column[k], &s->column[pivot_column]);
-        }
+        fb_swap_int(&s->row[k], &s->row[row]);
+        fb_swap_double(&s->scale[k], &s->scale[row]);
+        fb_swap_int(&s->column[k], &s->column[column]);
         fb_eliminate_below(s->lu, s->inverse, k);
     }
     s->left = s->terms = 0.0;
@@ -260,7 +245,8 @@ static inline int fb_dense_solve(const double *restrict forcing, const double *r
 #define FB_SIDE fb_simd
 #define FB_FACTORS fb_dense_factors
 #define FB_OF(name) name##_simd
-#include "lu.inc"
+#define FB_SOLVE_ONLY
+#include "null_space.inc"
 
 /* u' for right-hand sides f, -gamma by a pivot order; redundant rows hold in every direction in which the state can
  * move. */
@@ -309,54 +295,32 @@ static inline int fb_dense_solve_first(const double *restrict forcing, const dou
 static inline void fb_shortest(const fb_dense_factors *restrict s, const double *restrict y,
                                double *restrict multipliers)
 {
-    double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)] = {{0.0}}, normal[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)];
-    double z[FB_AT_LEAST_1(N_C)] = {0.0};
+    double k[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_RANK)], normal[FB_AT_LEAST_1(N_RANK)][FB_AT_LEAST_1(N_RANK)];
+    double z[FB_AT_LEAST_1(N_RANK)];
     int row[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i) {
         row[i] = s->row[i];
         for (int j = 0; j < N_RANK; ++j)
             k[i][j] = s->scale[i] == 0.0 || j > i ? 0.0 : (j == i ? 1.0 : s->lu[i][j]) / s->scale[i];
     }
-    /* G below the diagonal, which is 1, and U; z = U^-T y */
-    for (int j = 0; j < N_RANK; ++j) {
-        int pivot = j;
-        for (int i = j + 1; i < N_C; ++i)
-            pivot = fabs(k[i][j]) > fabs(k[pivot][j]) ? i : pivot;
-        for (int m = 0; m < N_RANK; ++m)
-            fb_swap_double(&k[j][m], &k[pivot][m]);
-        fb_swap_int(row + j, row + pivot);
-        for (int i = j + 1; i < N_C; ++i) {
-            k[i][j] /= k[j][j];
-            for (int m = j + 1; m < N_RANK; ++m)
-                k[i][m] -= k[i][j] * k[j][m];
-        }
+    fb_factor_lu(N_C, N_RANK, k[0], NULL, row, 0.0);
+    for (int j = 0; j < N_RANK; ++j) { /* z = U^-T y */
         z[j] = y[j];
         for (int i = 0; i < j; ++i)
             z[j] -= k[i][j] * z[i];
         z[j] /= k[j][j];
     }
-    for (int j = 0; j < N_RANK; ++j)
+    for (int j = 0; j < N_RANK; ++j) /* only G is left */
         for (int i = 0; i <= j; ++i)
             k[i][j] = i == j ? 1.0 : 0.0;
-    /* G^T G = R^T R by Cholesky, R above the diagonal */
-    for (int j = 0; j < N_RANK; ++j) {
-        for (int i = 0; i <= j; ++i) {
-            double sum = 0.0;
+    for (int i = 0; i < N_RANK; ++i)
+        for (int j = 0; j <= i; ++j) {
+            normal[i][j] = 0.0;
             for (int m = 0; m < N_C; ++m)
-                sum += k[m][i] * k[m][j];
-            for (int m = 0; m < i; ++m)
-                sum -= normal[m][i] * normal[m][j];
-            normal[i][j] = i == j ? sqrt(sum) : sum / normal[i][i];
+                normal[i][j] += k[m][i] * k[m][j];
         }
-        for (int m = 0; m < j; ++m)
-            z[j] -= normal[m][j] * z[m];
-        z[j] /= normal[j][j];
-    }
-    for (int j = N_RANK - 1; j >= 0; --j) {
-        for (int m = j + 1; m < N_RANK; ++m)
-            z[j] -= normal[j][m] * z[m];
-        z[j] /= normal[j][j];
-    }
+    fb_factor_ldl(NULL, normal[0], FB_AT_LEAST_1(N_RANK), 0, N_RANK);
+    fb_solve_ldl(normal[0], FB_AT_LEAST_1(N_RANK), 0, N_RANK, z);
     for (int i = 0; i < N_C; ++i) {
         double sum = 0.0;
         for (int j = 0; j < N_RANK; ++j)

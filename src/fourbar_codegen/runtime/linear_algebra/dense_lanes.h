@@ -19,10 +19,11 @@ typedef struct fb_lane_factors {
 } fb_lane_factors;
 
 #define FB_VALUE fb_real
+#define FB_SIDE fb_real
 #define FB_FACTORS fb_lane_factors
 #define FB_OF(name) name##_lanes
-#define FB_REQUIRE_POSITIVE(s, value) (s)->good &= (value) > 0.0
-#include "lu.inc"
+#define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
+#include "null_space.inc"
 
 static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
                                       const fb_real *restrict jacobian, fb_lane_factors *restrict s)

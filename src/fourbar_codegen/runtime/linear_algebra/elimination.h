@@ -22,32 +22,80 @@ static inline void fb_swap_int(int *a, int *b)
     *b = c;
 }
 
-/* Solves A x = b by Gaussian elimination with partial pivoting; A and b are overwritten. Returns 0 if A is singular:
- * a pivot is no larger than `least`. */
-static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b, const double least)
+/* P A = L U of m rows and n <= m columns, with partial pivoting, in place: L, whose diagonal is 1, below that of U. The
+ * permutation is that of b, of shape (m,), which becomes L^-1 P b, and of `rows`; both may be NULL. Returns its sign,
+ * or 0 if a pivot is no larger than `least`. */
+static inline int fb_factor_lu(const int m, const int n, double *restrict a, double *restrict b, int *restrict rows,
+                               const double least)
 {
+    int sign = 1;
     for (int k = 0; k < n; ++k) {
         int pivot = k;
-        for (int i = k + 1; i < n; ++i)
+        for (int i = k + 1; i < m; ++i)
             pivot = fabs(a[i * n + k]) > fabs(a[pivot * n + k]) ? i : pivot;
         if (!(fabs(a[pivot * n + k]) > least))
             return 0;
-        for (int j = k; j < n && pivot != k; ++j)
-            fb_swap_double(a + k * n + j, a + pivot * n + j);
-        fb_swap_double(b + k, b + pivot);
-        for (int i = k + 1; i < n; ++i) {
-            const double factor = a[i * n + k] / a[k * n + k];
+        if (pivot != k) {
+            sign = -sign;
+            for (int j = 0; j < n; ++j)
+                fb_swap_double(a + k * n + j, a + pivot * n + j);
+            if (b)
+                fb_swap_double(b + k, b + pivot);
+            if (rows)
+                fb_swap_int(rows + k, rows + pivot);
+        }
+        for (int i = k + 1; i < m; ++i) {
+            const double factor = a[i * n + k] /= a[k * n + k];
             for (int j = k + 1; j < n; ++j)
                 a[i * n + j] -= factor * a[k * n + j];
-            b[i] -= factor * b[k];
+            if (b)
+                b[i] -= factor * b[k];
         }
     }
+    return sign;
+}
+
+/* Solves A x = b; A and b are overwritten. Returns 0 if A is singular: a pivot is no larger than `least`. */
+static inline int fb_eliminate_full(const int n, double *restrict a, double *restrict b, const double least)
+{
+    if (!fb_factor_lu(n, n, a, b, NULL, least))
+        return 0;
     for (int k = n - 1; k >= 0; --k) {
         for (int j = k + 1; j < n; ++j)
             b[k] -= a[k * n + j] * b[j];
         b[k] /= a[k * n + k];
     }
     return 1;
+}
+
+/* The sign of det A times its least pivot with partial pivoting; A is overwritten. */
+static inline double fb_signed_least_pivot(const int n, double *restrict a)
+{
+    double least = INFINITY, sign = fb_factor_lu(n, n, a, NULL, NULL, 0.0);
+    for (int k = 0; k < n && sign != 0.0; ++k) {
+        least = fb_min(fabs(a[k * n + k]), least);
+        sign = a[k * n + k] < 0.0 ? -sign : sign;
+    }
+    return sign != 0.0 ? sign * least : 0.0;
+}
+
+/* The pivot p by complete pivoting: the largest entry from row and column p on is brought there from a row and a
+ * column; returns its size. */
+static inline double fb_pivot_completely(const int m, const int n, double *restrict a, const int p, int *row,
+                                         int *column)
+{
+    *row = *column = p;
+    for (int i = p; i < m; ++i)
+        for (int j = p; j < n; ++j)
+            if (fabs(a[i * n + j]) > fabs(a[*row * n + *column])) {
+                *row = i;
+                *column = j;
+            }
+    for (int j = 0; j < n && *row != p; ++j)
+        fb_swap_double(a + p * n + j, a + *row * n + j);
+    for (int i = 0; i < m && *column != p; ++i)
+        fb_swap_double(a + i * n + p, a + i * n + *column);
+    return fabs(a[p * n + p]);
 }
 
 /* Gaussian elimination with complete pivoting of m rows and n columns with k right-hand sides. Stops after n pivots, or
@@ -63,22 +111,12 @@ static inline int fb_eliminate_rows(const int m, const int n, const int k, doubl
     int rank = 0;
     *last = n > 0 ? 0.0 : 1.0;
     for (int p = 0; p < n && p < m; ++p) {
-        int row = p, column = p;
-        for (int i = p; i < m; ++i)
-            for (int j = p; j < n; ++j)
-                if (fabs(a[i * n + j]) > fabs(a[row * n + column])) {
-                    row = i;
-                    column = j;
-                }
-        *last = fabs(a[row * n + column]);
+        int row, column;
+        *last = fb_pivot_completely(m, n, a, p, &row, &column);
         if (!(*last > FB_CLOSURE_PIVOT_RATIO))
             break;
-        for (int j = 0; j < n && row != p; ++j)
-            fb_swap_double(a + p * n + j, a + row * n + j);
         for (int j = 0; j < k && row != p; ++j)
             fb_swap_double(b + p * k + j, b + row * k + j);
-        for (int i = 0; i < m && column != p; ++i)
-            fb_swap_double(a + i * n + p, a + i * n + column);
         fb_swap_int(order + p, order + column);
         for (int i = p + 1; i < m; ++i) {
             const double factor = a[i * n + p] / a[p * n + p];

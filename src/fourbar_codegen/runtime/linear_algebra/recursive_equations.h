@@ -35,21 +35,25 @@ typedef struct fb_recursive_factors {
 } fb_recursive_factors;
 
 #define FB_VALUE double
+#define FB_SIDE double
 #define FB_FACTORS fb_recursive_factors
-#define FB_OF(name) name
+#define FB_OF(name) name##_normal
+#define FB_NORMAL_STRIDE N_LANES
 #define FB_RESPONSE(s, j, i) (s)->response[(j) * N_LANES + (i)]
-#define FB_REQUIRE(s, condition)                                                                                       \
+#define FB_REQUIRE(s, condition, status)                                                                               \
     if (!(condition))                                                                                                  \
-    return 0
+    return status
 #include "normal_equations.inc"
 
 #if FB_SIMD_WIDTH > 1
-#define FB_VALUE fb_simd /* right-hand sides */
+#define FB_VALUE double
+#define FB_SIDE fb_simd
 #define FB_FACTORS fb_recursive_factors
-#define FB_OF(name) name##_simd
+#define FB_OF(name) name##_normal_simd
+#define FB_SOLVE_ONLY
 #include "normal_equations.inc"
 #else
-#define fb_constrain_simd fb_constrain
+#define fb_constrain_normal_simd fb_constrain_normal
 #endif
 
 /* M, with a column in each lane. */
@@ -141,7 +145,7 @@ static inline int fb_recursive_factor(const double *restrict mass, const double 
     /* With constraints, M itself may be singular. */
     if (is_positive)
         fb_form_normal(forcing, s);
-    s->is_dense = !(is_positive && fb_factor_normal(s));
+    s->is_dense = !(is_positive && fb_factor_ldl_normal(s, s->normal[0], N_LANES, 0, N_C) == FB_OK);
     if (!s->is_dense)
         return FB_OK;
     double mass_matrix[N_U * N_U];
@@ -174,7 +178,7 @@ static inline int fb_recursive_solve(const double *restrict forcing, const doubl
     if (s->is_dense)
         return fb_dense_solve(forcing, acceleration_bias, &s->dense, accelerations);
     mass_solve(s->constants, s->mass + N_U, forcing, accelerations);
-    fb_constrain(acceleration_bias, s, accelerations);
+    fb_constrain_normal(acceleration_bias, s, accelerations);
     return FB_OK;
 }
 
@@ -186,7 +190,7 @@ static inline int fb_recursive_solve_first(const double *restrict forcing, const
         return fb_recursive_solve(forcing, acceleration_bias, s, accelerations);
     for (int j = 0; j < N_U; ++j)
         accelerations[j] = FB_RESPONSE(s, j, N_C);
-    fb_constrain(acceleration_bias, s, accelerations);
+    fb_constrain_normal(acceleration_bias, s, accelerations);
     return FB_OK;
 }
 
@@ -205,7 +209,7 @@ static FB_CALLED void fb_recursive_solve_directions(const int n, const double *r
         mass_solve_simd(s->constants, s->mass + N_U, side, solution);
         for (int i = N_U; i < N_U + N_C; ++i)
             side[i] = -side[i];
-        fb_constrain_simd(side + N_U, s, solution);
+        fb_constrain_normal_simd(side + N_U, s, solution);
         fb_store_columns(solution, N_U, n, begin, accelerations);
     }
 }
@@ -241,9 +245,9 @@ static inline void fb_recursive_multipliers(const double *restrict mass, const d
             for (int j = 0; j < N_U; ++j)
                 v[i] += FB_RESPONSE(s, j, i) * left[j];
         }
-        fb_solve_normal(s, v);
+        fb_solve_ldl_normal(s->normal[0], N_LANES, 0, N_C, v);
         for (int i = 0; i < N_C; ++i)
-            multipliers[i] += v[i];
+            multipliers[i] -= v[i];
     }
 }
 

@@ -12,10 +12,13 @@ typedef struct fb_lane_factors {
 } fb_lane_factors;
 
 #define FB_VALUE fb_real
+#define FB_SIDE fb_real
 #define FB_FACTORS fb_lane_factors
 #define FB_OF(name) name##_lanes
-#define FB_REQUIRE(s, condition) (s)->good &= (condition)
+#define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
+#define FB_NORMAL_STRIDE FB_AT_LEAST_1(N_C)
 #define FB_RESPONSE(s, j, i) (s)->response[(j) * N_C + (i)]
+#include "lu.inc"
 #include "normal_equations.inc"
 
 static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass,
@@ -42,7 +45,7 @@ static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const f
             for (int j = 0; j < N_U; ++j)
                 s->normal[i][k] += jacobian[i * N_U + j] * s->response[j * N_C + k];
         }
-    fb_factor_normal_lanes(s);
+    fb_factor_ldl_lanes(s, s->normal[0], FB_NORMAL_STRIDE, 0, N_C);
 }
 
 /* u' for one right-hand side (f, gamma); NULL for f means zeros. */
@@ -60,15 +63,13 @@ static FB_INLINE void fb_solve_lanes(const fb_real *restrict forcing, const fb_r
 /* The pivots of J in the static pivot order, which is only a way to find the sign of det J_d. */
 static inline void fb_pivots_lanes(const fb_lane_factors *restrict s, fb_real *restrict pivots)
 {
-    fb_real lu[FB_AT_LEAST_1(N_C)][N_U];
+    fb_real lu[FB_AT_LEAST_1(N_C)][N_U], inverse[FB_AT_LEAST_1(N_C)];
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_U; ++j)
             lu[i][j] = s->jacobian[static_pivot_row[i] * N_U + static_pivot_speed[j]];
     for (int k = 0; k < N_C; ++k) {
         pivots[k] = lu[k][k];
-        for (int i = k + 1; i < N_C; ++i)
-            for (int j = N_U - 1; j >= k; --j)
-                lu[i][j] -= lu[i][k] / pivots[k] * lu[k][j];
+        fb_eliminate_below_lanes(lu, inverse, k);
     }
 }
 

@@ -42,28 +42,11 @@ static inline double fb_note_units(const double *restrict jacobian, fb_units *re
 static inline double fb_signed_pivot(const double *restrict jacobian, const fb_units *restrict units,
                                      const int *restrict columns)
 {
-    double a[FB_AT_LEAST_1(N_C)][FB_AT_LEAST_1(N_C)], smallest = INFINITY, sign = 1.0;
+    double a[FB_AT_LEAST_1(N_C * N_C)];
     for (int i = 0; i < N_C; ++i)
         for (int j = 0; j < N_C; ++j)
-            a[i][j] = jacobian[i * N_U + columns[j]] / (units->column[columns[j]] * units->row[i]);
-    for (int k = 0; k < N_C; ++k) {
-        int pivot = k;
-        for (int i = k + 1; i < N_C; ++i)
-            pivot = fabs(a[i][k]) > fabs(a[pivot][k]) ? i : pivot;
-        if (pivot != k)
-            sign = -sign;
-        for (int j = k; j < N_C; ++j)
-            fb_swap_double(&a[k][j], &a[pivot][j]);
-        smallest = fabs(a[k][k]) < smallest ? fabs(a[k][k]) : smallest;
-        if (!(smallest > 0.0))
-            return 0.0;
-        if (a[k][k] < 0.0)
-            sign = -sign;
-        for (int i = k + 1; i < N_C; ++i)
-            for (int j = N_C - 1; j > k; --j)
-                a[i][j] -= a[i][k] / a[k][k] * a[k][j];
-    }
-    return sign * smallest;
+            a[i * N_C + j] = jacobian[i * N_U + columns[j]] / (units->column[columns[j]] * units->row[i]);
+    return fb_signed_least_pivot(N_C, a);
 }
 
 /* Whether J is close to losing rank, given the largest signed pivot of the run, for the pivots that are largest in

@@ -1,6 +1,6 @@
-/* Solves M u' = f + J^T lambda, J u' + gamma = 0 with sparse M and J; see linear_algebra/ldl.inc. If the factorization
- * fails, the constraints are dependent at this state; or, with FB_EARLY, the dense equations are solved by
- * linear_algebra/dense_equations.h.
+/* Solves M u' = f + J^T lambda, J u' + gamma = 0 with sparse M and J; see linear_algebra/sparse_ldl.inc. If the
+ * factorization fails, the constraints are dependent at this state; or, with FB_EARLY, the dense equations are solved
+ * by linear_algebra/dense_equations.h.
  */
 #ifndef FOURBAR_SPARSE_EQUATIONS_H
 #define FOURBAR_SPARSE_EQUATIONS_H
@@ -50,7 +50,7 @@ static inline void fb_sparse_fill(const double *constants, const double *restric
 #define FB_REQUIRE(s, condition, status)                                                                               \
     if (!(condition))                                                                                                  \
     return status
-#include "ldl.inc"
+#include "sparse_ldl.inc"
 
 #ifdef FB_EARLY
 static FB_CALLED int fb_factor_filled(const double *restrict mass, const double *restrict jacobian,

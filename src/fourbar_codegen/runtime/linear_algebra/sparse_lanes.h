@@ -20,7 +20,7 @@ typedef struct fb_lane_factors {
 #define FB_ABS(value) fb_abs(value)
 #define FB_SELECT(condition, yes, no) fb_select(condition, yes, no)
 #define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
-#include "ldl.inc"
+#include "sparse_ldl.inc"
 
 static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass_matrix,
                                       const fb_real *restrict jacobian, fb_lane_factors *restrict s)

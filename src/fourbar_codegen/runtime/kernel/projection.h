@@ -9,18 +9,25 @@
  * violation is this fraction of it. */
 #define FB_SLIGHT_DRIFT_RTOL 1e-9
 
-/* Constraint stabilization by mass-orthogonal projection: Newton's method with the factors of a state nearby. The
- * change v with J v = -Phi of minimum norm in the metric of M solves M v = J^T lambda, J v + Phi = 0. These are the
- * equations of motion with other right-hand sides; q changes by K v. Likewise for the speeds, with J u + b. Rows that
- * keep no position have 0 for Phi. Invariants have a correction of their own.
- */
+static const double fb_at_rest[N_U + N_C + N_N + 1]; /* zeros */
+
+#define FB_VALUE double
+#define FB_OF(name) name
+#define FB_FACTORS fb_factors
+#define FB_TRUTHS int
+#define FB_TRUTH(condition) (-(condition))
+#define FB_CHOOSE(truths, yes, no) ((truths) ? (yes) : (no))
+#define FB_ANY(truths) (truths)
+#define FB_MAGNITUDE(value) fabs(value)
+#define FB_LARGER(a, b) fb_max(a, b)
+#define FB_SOLVE(w, factors, change) FB_FORM(solve)(fb_at_rest, w, factors, change)
+#include "newton.inc"
+
+/* Constraint stabilization by mass-orthogonal projection, with new factors where those of a state nearby do not lead
+ * to a closed state. */
 static int project(double t, double *x, const double *constants, const double *r, int factors_valid, void *work)
 {
-    static const double at_rest[N_U] = {0.0};
     fb_work *const w = work;
-    double positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)], change[N_U];
-    double position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
-    double coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)] = {0.0};
     if (N_C + N_I == 0)
         return FB_OK;
 #ifdef FB_RECURSIVE
@@ -28,43 +35,24 @@ static int project(double t, double *x, const double *constants, const double *r
 #endif
     w->drift = INFINITY;
     for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
+        const int is_new = attempt > 0 || !factors_valid;
         int status = FB_OK;
-        if (attempt > 0 || !factors_valid) {
+        if (is_new) {
             dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
                      w->acceleration_bias);
             status = factor_at(t, x, constants, r, w);
         }
-        constraint_scale(t, x, constants, r, unused, position_scale, velocity_scale);
-        double last = INFINITY;
-        for (int i = 0; i < MAX_CORRECTIONS; ++i) {
-            constraint_violation(t, x, constants, r, positions, velocities);
-            const double position = fb_violation(positions, position_scale, N_C + N_I);
-            const double velocity = fb_violation(velocities, velocity_scale, N_C);
-            if (position != position || velocity != velocity)
-                return FB_NOT_FINITE;
-            const double size = fb_max(position, velocity);
-            if (i == 0 && status == FB_OK && (attempt > 0 || !factors_valid))
-                w->drift = size;
-            /* The first correction of the positions may increase the violation of velocities. */
-            const int stagnates = i > 1 && !(size < 0.5 * last);
-            if (size <= FB_CLOSURE_RTOL || (size <= FB_LOOSE_CLOSURE_RTOL && stagnates))
-                return status == FB_NOT_FINITE ? status : FB_OK;
-            /* Tested after the violations, since closed states at singular positions are accepted. */
-            if (status != FB_OK)
-                return status;
-            if (stagnates)
-                break;
-            last = size;
-            FB_FORM(solve)(at_rest, positions, &w->factors, change);
-            coordinate_change(t, x, constants, r, change, coordinate_changes);
-            FB_FORM(solve)(at_rest, velocities, &w->factors, change);
-            if (N_I > 0)
-                invariant_correction(t, x, constants, r, correction);
-            for (int j = 0; j < N_Q; ++j)
-                x[j] += coordinate_changes[j] + correction[j];
-            for (int j = 0; j < N_U; ++j)
-                x[N_Q + j] += change[j];
-        }
+        double size[2];
+        const int closed = fb_newton(t, x, constants, r, &w->factors, status == FB_OK ? -1 : 0, size);
+        if (size[1] != size[1])
+            return FB_NOT_FINITE;
+        if (is_new && status == FB_OK)
+            w->drift = size[0];
+        /* Closed states at singular positions are accepted. */
+        if (closed || (status != FB_NOT_FINITE && size[1] <= FB_CLOSURE_RTOL))
+            return FB_OK;
+        if (status != FB_OK)
+            return status;
     }
     return FB_NOT_CLOSED;
 }
@@ -117,9 +105,8 @@ static int projection_vjp(const fb_function *functions, double t, const double *
                           const double *r, double *gradient, void *work)
 {
     fb_work *const w = work;
-    static const double at_rest[N_U + N_L + 1] = {0.0};
     double rows[FB_AT_LEAST_1(2 * N_C + N_I)] = {0.0}, of_dynamics[N_Q + N_U + N_L + N_Z] = {0.0}, change[N_U];
-    const fb_at at = {t, x, constants, r, at_rest, at_rest, 0};
+    const fb_at at = {t, x, constants, r, fb_at_rest, fb_at_rest, 0};
     const double *const of_violations[] = {rows}, *const of_residual[] = {of_dynamics};
     double *const result[] = {w->gradient};
     if (N_C + N_I == 0)
@@ -133,7 +120,7 @@ static int projection_vjp(const fb_function *functions, double t, const double *
     if (status != FB_OK)
         return status;
     /* the speeds, which projection_jvp moves last */
-    FB_FORM(solve)(gradient + N_Q, at_rest, &w->factors, change);
+    FB_FORM(solve)(gradient + N_Q, fb_at_rest, &w->factors, change);
     FB_FORM(multipliers)(w->mass_matrix, gradient + N_Q, change, &w->factors, rows + N_C + N_I);
     functions[FB_CONSTRAINT_VJP].call(&at, of_violations, result, work);
     for (int i = 0; i < N_X + N_P + N_R; ++i)
@@ -142,7 +129,7 @@ static int projection_vjp(const fb_function *functions, double t, const double *
     for (int i = 0; i < N_Q; ++i)
         of_dynamics[i] = gradient[i];
     functions[FB_RESIDUAL_VJP].call(&at, of_residual, result, work);
-    FB_FORM(solve)(w->gradient + N_Q, at_rest, &w->factors, change);
+    FB_FORM(solve)(w->gradient + N_Q, fb_at_rest, &w->factors, change);
     for (int i = 0; i < 2 * N_C + N_I; ++i)
         rows[i] = 0.0;
     FB_FORM(multipliers)(w->mass_matrix, w->gradient + N_Q, change, &w->factors, rows);

@@ -107,61 +107,21 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
     return fb_select((sums[0] == 0.0) & (sums[1] == 0.0), fb_number(0.0), squared);
 }
 
-/* Newton's method as in `project` of kernel/projection.h, with the factors of the last evaluation, for the requested
- * lanes; returns the lanes that satisfy the constraints. */
-static inline fb_mask fb_lanes_close(fb_lanes *restrict c, const fb_real t, fb_real *restrict x, const fb_mask asked)
-{
-    fb_lane_equations *const s = &c->equations;
-    fb_real positions[FB_AT_LEAST_1(N_C + N_I)], velocities[FB_AT_LEAST_1(N_C)];
-    fb_real position_scale[FB_AT_LEAST_1(N_C + N_I)], velocity_scale[FB_AT_LEAST_1(N_C)], unused[FB_AT_LEAST_1(N_H)];
-    fb_real change[N_U], coordinate_changes[FB_AT_LEAST_1(N_Q)], correction[FB_AT_LEAST_1(N_Q)];
-    fb_real last = fb_number(INFINITY);
-    fb_mask open = asked & s->factors.good, closed = open & 0;
-    constraint_scale(t, x, s->constants, s->inputs, unused, position_scale, velocity_scale);
-    for (int i = 0; i < MAX_CORRECTIONS && fb_any(open); ++i) {
-        constraint_violation(t, x, s->constants, s->inputs, positions, velocities);
-        fb_real size = fb_number(0.0), sum = size;
-        for (int j = 0; j < N_C; ++j) {
-            /* 0 / 0 counts as no violation. */
-            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
-            size = fb_greater(fb_abs(velocities[j]) / velocity_scale[j], size);
-            sum += positions[j] + velocities[j];
-        }
-        for (int j = N_C; j < N_C + N_I; ++j) {
-            size = fb_greater(fb_abs(positions[j]) / position_scale[j], size);
-            sum += positions[j];
-        }
-        open &= sum - sum == 0.0;
-        fb_mask done = size <= FB_CLOSURE_RTOL;
-        if (i > 1) {
-            const fb_mask stagnates = ~(size < 0.5 * last);
-            done |= stagnates & (size <= FB_LOOSE_CLOSURE_RTOL);
-            closed |= open & done;
-            open &= ~stagnates;
-        }
-        closed |= open & done;
-        open &= ~done;
-        if (!fb_any(open))
-            break;
-        last = size;
-        fb_solve_lanes(NULL, positions, &s->factors, change);
-        coordinate_change(t, x, s->constants, s->inputs, change, coordinate_changes);
-        fb_solve_lanes(NULL, velocities, &s->factors, change);
-        if (N_I > 0) {
-            invariant_correction(t, x, s->constants, s->inputs, correction);
-            for (int j = 0; j < N_Q; ++j)
-                coordinate_changes[j] += correction[j];
-        }
-        for (int j = 0; j < N_Q; ++j)
-            x[j] = fb_select(open, x[j] + coordinate_changes[j], x[j]);
-        for (int j = 0; j < N_U; ++j)
-            x[N_Q + j] = fb_select(open, x[N_Q + j] + change[j], x[N_Q + j]);
-    }
-    return closed;
-}
+#define FB_VALUE fb_real
+#define FB_OF(name) name##_lanes
+#define FB_FACTORS fb_lane_factors
+#define FB_TRUTHS fb_mask
+#define FB_TRUTH(condition) (condition)
+#define FB_CHOOSE(truths, yes, no) fb_select(truths, yes, no)
+#define FB_ANY(truths) fb_any(truths)
+#define FB_MAGNITUDE(value) fb_abs(value)
+#define FB_LARGER(a, b) fb_greater(a, b)
+#define FB_SOLVE(w, factors, change) fb_solve_lanes(NULL, w, factors, change)
+#include "../kernel/newton.inc"
 
-/* The same, by the kernel for single states where necessary; `factors_valid` says whether the factors are those of a
- * state nearby. States that cannot be projected are unchanged, or NaN where the constraints have no value. */
+/* Projects the states of the requested lanes onto the constraints, by the kernel for single states where necessary;
+ * `factors_valid` says whether the factors are those of a state nearby. Returns the lanes that are closed; states that
+ * cannot be projected are unchanged, or NaN where the constraints have no value. */
 static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, const fb_ensemble *e,
                                                           const fb_real since, fb_real *restrict x, const fb_mask asked,
                                                           const int factors_valid)
@@ -175,7 +135,8 @@ static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, 
     }
     fb_real given[N_X];
     memcpy(given, x, sizeof given);
-    fb_mask closed = fb_lanes_close(c, t, x, asked);
+    fb_real size[2];
+    fb_mask closed = fb_newton_lanes(t, x, s->constants, s->inputs, &s->factors, asked & s->factors.good, size);
     if (fb_any(asked & ~closed))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] & ~closed[lane]) {

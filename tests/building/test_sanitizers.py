@@ -32,6 +32,7 @@ PROGRAM = """
 #include "derivatives/forward_sensitivity.h"
 #include "derivatives/implicit_residual.h"
 #include "run/driver.h"
+#include "run/kept_steps.h"
 #include "lanes/jacobians.h"
 #include <pthread.h>
 #include <stdio.h>
@@ -165,13 +166,12 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         for (int i = 0; i < k->n_r; ++i)
             rate[i] = i == 2 ? 1 : -1;
         forward.fsal = forward.interpolant_valid = 0;
-        fb_record record = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
+        fb_kept_steps record = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
                           .sample_row = calloc(50, sizeof(long))};
-        s.observer = (fb_observer){
-            .forward = &forward, .after_step = fb_forward_step, .take_back = fb_forward_take_back,
-            .at_sample = fb_forward_sample, .at_restart = fb_forward_restart, .at_end = fb_forward_end};
-        s.record = &record;
-        fb_keep_step(&s, 0.0);
+        fb_observer differentiates = fb_forward_observer(&forward, 1), keeps = fb_kept_steps_observer(&record);
+        differentiates.next = &keeps;
+        s.observers = &differentiates;
+        fb_keep_step(&record, stepper, 0.0);
         fb_begin(&s);
         if (by_table) { /* in two pieces */
             s.t_bound = s.samples.until = table_times[1];
@@ -191,7 +191,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         if (by_table) {
             fb_speed_jump(&problem, &adjoint.jump, stepper->x, of_speeds, scratch);
             fb_forward_jump(stepper, &forward, &adjoint.jump, stepper->x, forward.s);
-            fb_keep_step(&s, 0.0);
+            fb_keep_step(&record, stepper, 0.0);
         }
         fb_run_on(&s, 10000);
         adjoint.rows = record.rows;

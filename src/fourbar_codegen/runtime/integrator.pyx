@@ -82,33 +82,30 @@ cdef extern from "run/driver.h":
         double *outputs
         double *along
         int look_at_all, toggled
-    ctypedef struct fb_record:
-        long n, room
-        double *rows
-        long *sample_row
-        double *sample_t
     ctypedef struct fb_observer:
-        fb_forward *forward
-        int (*after_step)(fb_stepper *, fb_forward *, double, double *) noexcept nogil
-        void (*take_back)(fb_forward *) noexcept nogil
-        int (*at_sample)(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
-        int (*at_restart)(fb_stepper *, fb_forward *, int) noexcept nogil
-        int (*at_end)(fb_stepper *, fb_forward *, double, const double *) noexcept nogil
+        fb_observer *next
     ctypedef struct fb_run:
         fb_stepper stepper
         double direction, t_bound, max_step, h_abs
         fb_samples samples
         fb_watch watch
-        fb_observer observer
-        fb_record *record
+        fb_observer *observers
     int fb_begin(fb_run *) noexcept nogil
     int fb_step(fb_run *) noexcept nogil
     int fb_run_on(fb_run *, long) noexcept nogil
     int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
     int fb_stop_within(fb_run *, double) noexcept nogil
-    void fb_discard(fb_run *) noexcept nogil
-    void fb_keep_step(fb_run *, double) noexcept nogil
+    void fb_undo(fb_run *) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
+
+cdef extern from "run/kept_steps.h":
+    ctypedef struct fb_kept_steps:
+        long n, room
+        double *rows
+        long *sample_row
+        double *sample_t
+    void fb_keep_step(fb_kept_steps *, const fb_stepper *, double) noexcept nogil
+    fb_observer fb_kept_steps_observer(fb_kept_steps *) noexcept nogil
 
 cdef extern from "derivatives/velocity_jump.h":
     ctypedef struct fb_velocity_jump:
@@ -128,11 +125,8 @@ cdef extern from "derivatives/forward_sensitivity.h":
         double *s
         double *s_old
         double *samples
-    int fb_forward_step(fb_stepper *, fb_forward *, double, double *) noexcept nogil
-    void fb_forward_take_back(fb_forward *) noexcept nogil
-    int fb_forward_restart(fb_stepper *, fb_forward *, int) noexcept nogil
-    int fb_forward_end(fb_stepper *, fb_forward *, double, const double *) noexcept nogil
-    int fb_forward_sample(fb_stepper *, fb_forward *, long, double, const double *) noexcept nogil
+    int fb_forward_restart(void *, fb_stepper *, int) noexcept nogil
+    fb_observer fb_forward_observer(fb_forward *, int) noexcept nogil
     int fb_forward_at(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_close(fb_stepper *, fb_forward *, double, FB_LAST, const double *, double *) noexcept nogil
     int fb_forward_jump(fb_stepper *, fb_forward *, fb_velocity_jump *, const double *, double *) noexcept nogil
@@ -792,6 +786,7 @@ cdef class Run:
     """
 
     cdef fb_run run
+    cdef fb_observer differentiates, keeps
     cdef fb_augmented augmented
     cdef readonly Ode ode
     cdef object method
@@ -807,7 +802,7 @@ cdef class Run:
     cdef object directions
     cdef cnp.ndarray kept_s
     cdef list varied
-    cdef fb_record steps
+    cdef fb_kept_steps steps
     cdef cnp.ndarray kept_rows
     cdef cnp.ndarray kept_places
     cdef cnp.ndarray kept_since
@@ -861,21 +856,24 @@ cdef class Run:
         """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
         not kept: they only make the steps short enough for derivatives."""
         _prepare_forward(&self.run.stepper, &self.forward, self.ode, directions, self.kept)
-        self.run.observer = fb_observer(
-            forward=&self.forward, after_step=fb_forward_step, take_back=fb_forward_take_back, at_sample=NULL,
-            at_restart=fb_forward_restart, at_end=fb_forward_end)
+        self._observe(&self.differentiates, fb_forward_observer(&self.forward, bool(directions.places)))
         if directions.places:
-            self.directions, self.varied, self.run.observer.at_sample = directions, [], fb_forward_sample
-        self.ode.check(fb_forward_restart(&self.run.stepper, &self.forward, True))
+            self.directions, self.varied = directions, []
+        self.ode.check(fb_forward_restart(&self.forward, &self.run.stepper, True))
         self._make_room(self.run.samples.room)
 
     def keep_steps(self):
         """Also keep the steps, for `Steps`, before `begin`."""
-        self.run.record, self.places, self.clocks = &self.steps, [], [(0, -INFINITY, INFINITY, 0.0, 0.0)]
+        self.places, self.clocks = [], [(0, -INFINITY, INFINITY, 0.0, 0.0)]
         self.kept_rows = new_array(256, 2 + self.run.stepper.n)
         self.steps.rows, self.steps.room = data(self.kept_rows), 256
+        self._observe(&self.keeps, fb_kept_steps_observer(&self.steps))
         self._make_room(self.run.samples.room)
-        fb_keep_step(&self.run, 0.0)
+        fb_keep_step(&self.steps, &self.run.stepper, 0.0)
+
+    cdef int _observe(self, fb_observer *place, fb_observer observer) except -1:
+        place[0], place.next, self.run.observers = observer, self.run.observers, place
+        return 0
 
     cdef int _make_room_for_steps(self) except -1:
         cdef cnp.ndarray larger
@@ -917,9 +915,9 @@ cdef class Run:
         memcpy(data(states), self.run.samples.x, n * self.run.stepper.n * sizeof(double))
         samples = (times, states)
         is_last = self.times is not None and self.n_taken == len(self.times)
-        if self.run.observer.at_sample:
+        if self.varied is not None:
             self.varied.append(self.kept_s[:n] if is_last else self.kept_s[:n].copy())
-        if self.run.record:
+        if self.places is not None:
             self.places.append((self.kept_places[:n].copy(), self.kept_since[:n].copy()))
             self._make_room_for_steps()
         if n == self.run.samples.room and not is_last:
@@ -930,10 +928,10 @@ cdef class Run:
     cdef int _make_room(self, long room) except -1:
         self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.stepper.n)
         self.run.samples.t, self.run.samples.x, self.run.samples.room = data(self.kept_t), data(self.kept_x), room
-        if self.run.observer.at_sample:
+        if self.varied is not None:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
-        if self.run.record:
+        if self.places is not None:
             self.kept_places, self.kept_since = np.empty(room, dtype="l"), new_array(room)
             self.steps.sample_row = <long *>cnp.PyArray_DATA(self.kept_places)
             self.steps.sample_t = data(self.kept_since)
@@ -961,12 +959,12 @@ cdef class Run:
         cdef fb_segment segment = fb_segment(t=t - self.origin, t_bound=t_bound - self.origin, first=first, last=last)
         if x is not None:
             state = vector(x, stepper.n, "The state x")
-            if run.observer.forward or run.record:
+            if run.observers:
                 self._pass_jump(before, first, state)
         self.t_begin, self.since_begin, self.t_bound = t, segment.t, t_bound
         if self.times is not None:  # absolute times, since relative ones may be equal on both sides of a jump
             run.samples.n_times = np.searchsorted(run.direction * self.times, run.direction * t_bound, side="right")
-        if run.record:
+        if self.clocks is not None:
             self.clocks.append((self.steps.n, min(first, last), max(first, last), before, first))
             self._make_room_for_steps()
         if self.ode.check(fb_enter(run, &segment, NULL if x is None else data(state))) != FB_RUN_PAUSED:
@@ -1001,7 +999,7 @@ cdef class Run:
             raise SimulationError(
                 f"The speeds jump at t = {after:.9g} by an expression of time in the model, which has no derivatives: "
                 "prescribe the motion by an input.")
-        if run.observer.forward and fb_forward_jump(
+        if self.forward.s and fb_forward_jump(
                 stepper, &self.forward, &jump, stepper.x, self.forward.s) != FB_OK:
             for i in range(self.forward.size):
                 self.forward.s[i] = NAN
@@ -1073,7 +1071,7 @@ cdef class Run:
 
     def discard(self):
         """Discard the last step; the run ends before it."""
-        fb_discard(&self.run)
+        fb_undo(&self.run)
 
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""

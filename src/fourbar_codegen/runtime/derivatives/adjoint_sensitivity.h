@@ -19,7 +19,7 @@
 #include "velocity_jump.h"
 
 typedef struct fb_adjoint {
-    const double *rows;    /* (n_rows, 2 + n_x), as `fb_record` */
+    const double *rows;    /* (n_rows, 2 + n_x), as of `fb_kept_steps` */
     fb_velocity_jump jump; /* at the beginning of the present piece */
     /* the samples: the row whose step contains each, and its time; the cost's derivatives with respect to states and
      * outputs there */

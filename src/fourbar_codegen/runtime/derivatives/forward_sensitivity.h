@@ -15,8 +15,8 @@
 #ifndef FOURBAR_FORWARD_SENSITIVITY_H
 #define FOURBAR_FORWARD_SENSITIVITY_H
 
+#include "../run/run.h"
 #include "../steppers/step_control.h"
-#include "../steppers/stepper.h"
 #include "velocity_jump.h"
 
 #include <float.h>
@@ -316,8 +316,9 @@ static inline double fb_forward_error(fb_stepper *stepper, fb_forward *f, const 
 
 /* S along the last accepted step, right after it, and its error; S is that before the step unless this is below 1.
  * Sizes are at least those of rates within `soon`; any error is accepted if that is infinite. */
-static inline int fb_forward_step(fb_stepper *stepper, fb_forward *f, const double soon, double *step_error)
+static inline int fb_forward_step(void *of, fb_stepper *stepper, const double soon, double *step_error)
 {
+    fb_forward *const f = of;
     const fb_tableau *const m = stepper->tableau;
     double *const end = f->stages + m->n_stages * f->size;
     int status = 0;
@@ -401,15 +402,16 @@ static inline int fb_forward_at(fb_stepper *stepper, fb_forward *f, const double
 }
 
 /* S for a sample. */
-static inline int fb_forward_sample(fb_stepper *stepper, fb_forward *f, const long sample, const double t,
-                                    const double *x)
+static inline int fb_forward_sample(void *of, fb_stepper *stepper, const long sample, const double t, const double *x)
 {
+    fb_forward *const f = of;
     /* Within a step, x was projected. */
     return fb_forward_at(stepper, f, t, FB_LAST_PROJECT, x, f->samples + sample * f->size);
 }
 
-static inline void fb_forward_take_back(fb_forward *f)
+static inline void fb_forward_take_back(void *of)
 {
+    fb_forward *const f = of;
     double *const s = f->s;
     f->s = f->s_old;
     f->s_old = s;
@@ -417,19 +419,32 @@ static inline void fb_forward_take_back(fb_forward *f)
 }
 
 /* Goes on from the state reached; if that has moved, S moves onto the tangent of the constraints. */
-static inline int fb_forward_restart(fb_stepper *stepper, fb_forward *f, const int moved)
+static inline int fb_forward_restart(void *of, fb_stepper *stepper, const int moved)
 {
+    fb_forward *const f = of;
     f->fsal = 0;
     return moved && stepper->project ? fb_forward_close(stepper, f, stepper->t, FB_LAST_ANY, stepper->x, f->s) : 0;
 }
 
 /* S at the end of a run, at t, x within the last step. */
-static inline int fb_forward_end(fb_stepper *stepper, fb_forward *f, const double t, const double *x)
+static inline int fb_forward_end(void *of, fb_stepper *stepper, const double t, const double *x)
 {
+    fb_forward *const f = of;
     const int status = fb_forward_at(stepper, f, t, FB_LAST_ANY, x, f->scratch);
     if (status == 0)
         memcpy(f->s, f->scratch, (size_t)f->size * sizeof *f->s);
     return status;
+}
+
+/* Without samples, derivatives only make the steps short enough for them. */
+static inline fb_observer fb_forward_observer(fb_forward *f, const int with_samples)
+{
+    return (fb_observer){.of = f,
+                         .after_step = fb_forward_step,
+                         .take_back = fb_forward_take_back,
+                         .at_sample = with_samples ? fb_forward_sample : NULL,
+                         .at_restart = fb_forward_restart,
+                         .at_end = fb_forward_end};
 }
 
 /* Places the arrays for n directions in memory, the directions first, unless that is NULL, and makes the stepper keep

@@ -33,12 +33,13 @@ static inline int fb_look(fb_run *r)
     return watch->look_at_all || events || (watch->toggled && !finds_singular) ? FB_RUN_EVENT : FB_RUN_PAUSED;
 }
 
-/* Discards the last step: the run ends before it. */
-static inline void fb_discard(fb_run *r)
+/* Whether an observer has no room for another step. */
+static inline int fb_is_full(const fb_run *r)
 {
-    fb_undo(r);
-    if (r->record)
-        r->record->n -= 1;
+    for (const fb_observer *o = r->observers; o; o = o->next)
+        if (o->is_full && o->is_full(o->of))
+            return 1;
+    return 0;
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
@@ -54,7 +55,7 @@ static inline int fb_run_on(fb_run *r, long n)
             return FB_RUN_END;
         if (n-- <= 0)
             return FB_RUN_PAUSED;
-        if (r->record && r->record->n == r->record->room)
+        if (fb_is_full(r))
             return FB_RUN_FULL;
         if (fb_has_collapsed(r))
             return FB_RUN_COLLAPSED;
@@ -63,11 +64,9 @@ static inline int fb_run_on(fb_run *r, long n)
             return FB_RUN_SINGULAR;
         if (status != FB_RUN_PAUSED)
             return status;
-        if (r->record)
-            fb_keep_step(r, r->stepper.h);
         status = fb_look(r);
         if (status == FB_RUN_SINGULAR)
-            fb_discard(r);
+            fb_undo(r); /* the run ends before it */
         if (status != FB_RUN_PAUSED)
             return status;
     }

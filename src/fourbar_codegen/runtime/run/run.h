@@ -1,4 +1,4 @@
-/* A run, as all parts of the driver see it: its stepper, end, samples, events, limits and observer. */
+/* A run, as all parts of the driver see it: its stepper, end, samples, events, limits and observers. */
 #ifndef FOURBAR_RUN_H
 #define FOURBAR_RUN_H
 
@@ -41,27 +41,19 @@ typedef struct fb_pace {
     double marked_t;
 } fb_pace;
 
-/* The steps taken, from which derivatives/adjoint_sensitivity.h goes backwards. A row has the time at the end of a
- * step, its length and the state; the length is 0 where the run begins, or continues from another state. */
-typedef struct fb_record {
-    long n, room;
-    double *rows;     /* (room, 2 + n_x) */
-    long *sample_row; /* for each sample in the room of fb_samples: the number of the last row, and the time */
-    double *sample_t;
-} fb_record;
-
-struct fb_forward;
-
-/* Sensitivities, by derivatives/forward_sensitivity.h: what is done after a step, which is repeated with a shorter one
- * unless the error is below 1; where the last step is taken back; for a sample at t, x, if not NULL; where the run goes
- * on, from another state if it has moved; and where it ends, at t, x within the last step. */
+/* What observes a run. Of its functions, each of which may be NULL, those that return a status return a negative one if
+ * a callback fails. */
 typedef struct fb_observer {
-    struct fb_forward *forward; /* or NULL */
-    int (*after_step)(fb_stepper *s, struct fb_forward *forward, double soon, double *error);
-    void (*take_back)(struct fb_forward *forward);
-    int (*at_sample)(fb_stepper *s, struct fb_forward *forward, long sample, double t, const double *x);
-    int (*at_restart)(fb_stepper *s, struct fb_forward *forward, int moved);
-    int (*at_end)(fb_stepper *s, struct fb_forward *forward, double t, const double *x);
+    struct fb_observer *next; /* or NULL */
+    void *of;                 /* what the functions are called with */
+    /* after a step, which is repeated with a shorter one unless `error` stays below 1; errors of values that have just
+     * begun to grow are in units of what they are after a time `soon` */
+    int (*after_step)(void *of, fb_stepper *s, double soon, double *error);
+    void (*take_back)(void *of); /* the last step is taken back */
+    int (*at_sample)(void *of, fb_stepper *s, long sample, double t, const double *x);
+    int (*at_restart)(void *of, fb_stepper *s, int moved);             /* whether from another state */
+    int (*at_end)(void *of, fb_stepper *s, double t, const double *x); /* the run ends within the last step */
+    int (*is_full)(const void *of);                                    /* no other step can be taken */
 } fb_observer;
 
 typedef struct fb_run {
@@ -71,8 +63,7 @@ typedef struct fb_run {
     fb_samples samples;
     fb_watch watch;
     fb_pace pace;
-    fb_observer observer;
-    fb_record *record; /* or NULL */
+    fb_observer *observers; /* the first, or NULL */
 } fb_run;
 
 #endif

@@ -1,34 +1,24 @@
-/* Samples of a run, and the steps that it keeps. */
+/* Samples of a run. */
 #ifndef FOURBAR_SAMPLES_H
 #define FOURBAR_SAMPLES_H
 
 #include "run.h"
 
-/* Keeps the state reached by a step of length h. */
-static inline void fb_keep_step(fb_run *r, const double h)
-{
-    const fb_stepper *const s = &r->stepper;
-    double *const row = r->record->rows + r->record->n++ * (2 + s->n);
-    row[0] = s->t;
-    row[1] = h;
-    memcpy(row + 2, s->x, (size_t)s->n * sizeof *row);
-}
-
-/* Ends a sample at t, whose state is stored already: notes where it lies among the steps, and its derivatives. */
+/* Ends a sample at t, whose state is stored already. */
 static inline int fb_end_sample(fb_run *r, const double t)
 {
     fb_samples *const samples = &r->samples;
     fb_stepper *const s = &r->stepper;
-    if (r->record) {
-        r->record->sample_row[samples->n] = r->record->n - 1;
-        r->record->sample_t[samples->n] = t;
-    }
+    const double *const x = samples->x + samples->n * s->n;
     if (samples->t)
         samples->t[samples->n] = t;
-    const double *const x = samples->x + samples->n * s->n;
-    const int status = r->observer.at_sample ? r->observer.at_sample(s, r->observer.forward, samples->n, t, x) : 0;
-    samples->n += status >= 0;
-    return status;
+    for (const fb_observer *o = r->observers; o; o = o->next) {
+        const int status = o->at_sample ? o->at_sample(o->of, s, samples->n, t, x) : 0;
+        if (status < 0)
+            return status;
+    }
+    samples->n += 1;
+    return 0;
 }
 
 /* The samples of the last step; FB_RUN_FULL if there is no room for them. */

@@ -48,12 +48,12 @@ static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x
         if (status != FB_OK)
             return status < 0 ? status : FB_RUN_OPEN;
     }
-    int status = r->observer.forward ? r->observer.at_restart(s, r->observer.forward, x != NULL) : 0;
-    if (status < 0)
-        return status;
-    if (r->record && x)
-        fb_keep_step(r, 0.0);
-    status = fb_resume(s);
+    for (const fb_observer *o = r->observers; o; o = o->next) {
+        const int status = o->at_restart ? o->at_restart(o->of, s, x != NULL) : 0;
+        if (status < 0)
+            return status;
+    }
+    int status = fb_resume(s);
     if (status == 0)
         status = fb_move_events_on(r);
     return status < 0 ? status : FB_RUN_PAUSED;
@@ -70,13 +70,13 @@ static inline int fb_stop_within(fb_run *r, const double t)
         return 0;
     }
     int status = fb_state_at(s, t, along);
+    for (const fb_observer *o = r->observers; o && status >= 0; o = o->next)
+        status = o->at_end ? o->at_end(o->of, s, t, along) : 0;
     if (status < 0)
         return status;
-    if (r->observer.forward)
-        status = r->observer.at_end(s, r->observer.forward, t, along);
     memcpy(s->x, along, (size_t)s->n * sizeof *along);
     s->t = t;
-    return status;
+    return 0;
 }
 
 #endif

@@ -86,12 +86,13 @@ static inline int fb_step(fb_run *r)
     }
 }
 
-/* Takes the last step back, and its derivatives. */
+/* Takes the last step back. */
 static inline void fb_undo(fb_run *r)
 {
     fb_take_back(&r->stepper);
-    if (r->observer.forward)
-        r->observer.take_back(r->observer.forward);
+    for (const fb_observer *o = r->observers; o; o = o->next)
+        if (o->take_back)
+            o->take_back(o->of);
     r->samples.pending = 0;
 }
 
@@ -105,19 +106,18 @@ static inline int fb_observed_step(fb_run *r)
     double soon = 0.0;
     for (int attempt = 0;; ++attempt) {
         int status = fb_step(r);
-        if (status != FB_RUN_PAUSED || !r->observer.forward)
+        if (status != FB_RUN_PAUSED || !r->observers)
             return status;
         if (attempt == 0)
             soon = FB_SOON * fabs(s->h);
         const int is_least = fabs(s->h) * FB_MIN_FACTOR < fb_least_step(s->t_old, r->direction);
+        const double within = is_least ? INFINITY : attempt < FB_USUAL_ATTEMPTS ? 0.0 : soon;
         double error = 0.0;
-        status = r->observer.after_step(s, r->observer.forward,
-                                        is_least                      ? INFINITY
-                                        : attempt < FB_USUAL_ATTEMPTS ? 0.0
-                                                                      : soon,
-                                        &error);
-        if (status < 0)
-            return status;
+        for (const fb_observer *o = r->observers; o; o = o->next) {
+            status = o->after_step ? o->after_step(o->of, s, within, &error) : 0;
+            if (status < 0)
+                return status;
+        }
         /* Derivatives that are not finite ask for nothing. */
         const double factor = fb_step_factor(s->tableau->order, error);
         const double length = fabs(s->h) * fb_change(factor, error < 1.0, 0);

@@ -39,7 +39,7 @@ static inline int fb_has_collapsed(fb_run *r)
     }
     if (share > FB_RECOVERY)
         pace->collapsed = 0;
-    return r->observer.forward && s->n_steps - pace->marked == FB_WINDOW && fb_derivatives_collapsed(r);
+    return r->observers && s->n_steps - pace->marked == FB_WINDOW && fb_derivatives_collapsed(r);
 }
 
 #endif

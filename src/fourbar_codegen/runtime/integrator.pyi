@@ -176,7 +176,7 @@ class Stepper:
         project: bool,
         n_steps: int = 0,
         jumps: Sequence[tuple[float, float, Sequence[int]]] = (),
-        breaks: Sequence[tuple[float, float, float]] = (),
+        breakpoints: ArrayLike = ((), (), ()),
     ) -> None: ...
     def step(self, r: Values | None = None) -> Floats: ...
 

@@ -50,7 +50,23 @@ cdef extern from "steppers/stepper.h":
     int fb_prepare_interpolant(fb_stepper *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
 
+cdef extern from "kernel/breakpoints.h":
+    ctypedef struct fb_segment:
+        double t, t_bound, first, last
+    ctypedef struct fb_breaks:
+        int n
+        const double *times
+        const double *before
+        const double *after
+        double first, last
+    ctypedef struct fb_passed:
+        const fb_breaks *breaks
+        int n
+    fb_segment fb_segment_ahead(void *, double, double) noexcept nogil
+
 cdef extern from "steppers/runge_kutta.h":
+    int fb_fixed_step_across(fb_stepper *, double, double, fb_segment (void *, double, double) noexcept nogil,
+                             void *) noexcept nogil
     const fb_method fb_runge_kutta
     double fb_fixed_time(double, double, long) noexcept nogil
     int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
@@ -71,8 +87,6 @@ cdef extern from "run/driver.h":
         long room, n
         int pending
         double until
-    ctypedef struct fb_segment:
-        double t, t_bound, first, last
     ctypedef struct fb_watch:
         int n_events
         const int *output
@@ -1281,21 +1295,26 @@ cdef class Stepper:
     cdef fb_source *sources
     cdef double h, t_begin
     cdef tuple jumps
-    cdef cnp.ndarray breaks
-    cdef long n_breaks, n_passed
+    cdef cnp.ndarray breakpoints
+    cdef fb_breaks breaks
+    cdef int n_passed
     cdef cnp.ndarray kept
     cdef bint busy
 
-    # The rows of breaks are a breakpoint of x', the last time before it, and the first one after it.
+    # The rows of breakpoints are the times, the last ones before them, and the first ones after them.
 
-    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(), breaks=()):
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(),
+                  breakpoints=((), (), ())):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_stepper *stepper = &self.stepper
         cdef double *rest
         self.ode, self.h, self.jumps, self.t_begin = ode, h, tuple(jumps), t
-        self.breaks = np.array(breaks, dtype=np.float64, order="C").reshape(-1, 3)
-        self.n_breaks = len(self.breaks)
+        self.breakpoints = np.array(breakpoints, dtype=np.float64, order="C")
+        self.breaks.n, self.breaks.times = self.breakpoints.shape[1], data(self.breakpoints)
+        self.breaks.before = self.breaks.times + self.breaks.n
+        self.breaks.after = self.breaks.before + self.breaks.n
+        self.breaks.first, self.breaks.last = -np.copysign(INFINITY, h), np.copysign(INFINITY, h)
         self.kept = _place(stepper, ode, &fb_runge_kutta, &fb_rk4, 0, &rest)
         stepper.project, stepper.n_steps, stepper.t = project, n_steps, fb_fixed_time(t, h, n_steps)
         memcpy(stepper.x, data(state), n * sizeof(double))
@@ -1304,7 +1323,7 @@ cdef class Stepper:
             raise MemoryError
 
     def __reduce__(self):
-        run = (self.t_begin, self.x, bool(self.stepper.project), self.stepper.n_steps, self.jumps, self.breaks)
+        run = (self.t_begin, self.x, bool(self.stepper.project), self.stepper.n_steps, self.jumps, self.breakpoints)
         return Stepper, (self.ode, self.h, *run)
 
     def __dealloc__(self):
@@ -1352,7 +1371,7 @@ cdef class Stepper:
         elif held:
             self._hold(held)
         problem.status = FB_OK
-        status = self._pass_breaks() if self.n_breaks else fb_fixed_step(&self.stepper, self.h, self._time_after(1))
+        status = self._pass_breaks() if self.breaks.n else fb_fixed_step(&self.stepper, self.h, self._time_after(1))
         if held:  # the tables' intervals
             memcpy(own.sources, self.sources, own.n_sources * sizeof(fb_source))
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
@@ -1389,26 +1408,16 @@ cdef class Stepper:
         return 0
 
     cdef int _pass_breaks(self) noexcept:
-        """A step in pieces between breaks, each with the inputs on its own side of these; the kernel's status."""
+        """A step across breakpoints, each part with the inputs on its own side of these; the kernel's status."""
         cdef fb_stepper *stepper = &self.stepper
-        cdef fb_clock *clock = &stepper.problem.clock
-        cdef const double *breaks = data(self.breaks)
         cdef cnp.ndarray start = _state_of(stepper)
-        cdef double t_old = stepper.t, t_new = self._time_after(1), t = t_old
-        cdef double direction = 1.0 if self.h > 0.0 else -1.0, before, after
-        cdef long n_steps = stepper.n_steps, k = self.n_passed
-        cdef int status = FB_OK
-        while status == FB_OK and t != t_new:
-            while k < self.n_breaks and direction * t >= direction * breaks[3 * k + 1]:
-                k += 1
-            after = breaks[3 * k - 1] if k > 0 else -direction * INFINITY
-            before = breaks[3 * k + 1] if k < self.n_breaks else direction * INFINITY
-            clock.first, clock.last = min(after, before), max(after, before)
-            t = breaks[3 * k] if k < self.n_breaks and direction * t_new > direction * breaks[3 * k + 2] else t_new
-            status = fb_fixed_step(stepper, self.h if t_old == stepper.t and t == t_new else t - stepper.t, t)
-        clock.first, clock.last = -INFINITY, INFINITY
+        cdef double t_old = stepper.t
+        cdef long n_steps = stepper.n_steps
+        cdef fb_passed passed = fb_passed(breaks=&self.breaks, n=self.n_passed)
+        cdef int status = fb_fixed_step_across(stepper, self.h, self._time_after(1), fb_segment_ahead, &passed)
+        stepper.problem.clock.first, stepper.problem.clock.last = -INFINITY, INFINITY
         if status == FB_OK:
-            self.n_passed = k
+            self.n_passed = passed.n
         else:  # as it was
             memcpy(stepper.x, data(start), stepper.n * sizeof(double))
             stepper.t = t_old

@@ -152,4 +152,5 @@ def make_stepper(
     start = consistent(ode, t, state) if closes else state
     jumps, kinks = boundaries(ode, t, math.copysign(math.inf, h), start)
     jumping = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in jumps]
-    return Stepper(ode, h, t, start, closes, jumps=jumping, breaks=[(at.end, at.last, at.first) for at in kinks])
+    breakpoints = np.array([(at.end, at.last, at.first) for at in kinks]).reshape(-1, 3).T
+    return Stepper(ode, h, t, start, closes, jumps=jumping, breakpoints=breakpoints)

@@ -320,8 +320,9 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
 }
 
 /* The segment from one time towards another: inputs are those between two discontinuities. */
-static fb_segment segment_from(const fb_problem *problem, const double begin, const double end)
+static fb_segment segment_from(void *of, const double begin, const double end)
 {
+    const fb_problem *const problem = of;
     const double towards = end < begin ? -INFINITY : INFINITY;
     if (N_BREAKPOINTS + FB_CHANGES == 0)
         return (fb_segment){begin, end, -towards, towards};
@@ -377,13 +378,7 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
         return FB_SPEEDS_JUMP;
     const double t_end = model->t + h;
     fb_stepper *const stepper = &run->stepper;
-    int status = FB_OK;
-    for (int piece = 0; piece <= N_BREAKPOINTS + FB_CHANGES && status == FB_OK && stepper->t != t_end; ++piece) {
-        const fb_segment segment = segment_from(stepper->problem, stepper->t, t_end);
-        const double until = segment.t_bound;
-        fb_set_segment(run, &segment);
-        status = fb_fixed_step(stepper, piece == 0 && until == t_end ? h : until - stepper->t, until);
-    }
+    const int status = fb_fixed_step_across(stepper, h, t_end, segment_from, stepper->problem);
     if (status == FB_OK)
         reach(model, run, t_end);
     return status;

@@ -2,7 +2,7 @@
 #ifndef FOURBAR_BATCH_H
 #define FOURBAR_BATCH_H
 
-#include "../kernel/problem.h"
+#include "../kernel/breakpoints.h"
 #include "../steppers/tableaus.h"
 
 #include <math.h>
@@ -35,14 +35,6 @@ enum FB_MEMBER {
     FB_MEMBER_DONE = 1,
     FB_MEMBER_LEFT = 2 /* has to be run alone, which handles special cases */
 };
-
-/* Times between the ends of runs, in their order, at which steps end; inputs are evaluated from `first` on, at each of
- * the times up to `before` and then from `after` on, up to `last`. */
-typedef struct fb_breaks {
-    int n;
-    const double *times, *before, *after; /* (n,) */
-    double first, last;
-} fb_breaks;
 
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {

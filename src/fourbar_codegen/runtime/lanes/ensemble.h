@@ -17,9 +17,9 @@ typedef struct fb_lanes {
     fb_mask active;
     fb_mask n_evaluations;
     long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
-    double h_abs[FB_WIDTH];
+    double h_abs[FB_WIDTH], bound[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
-    fb_real first, last; /* of their pieces of time, see fb_clock */
+    fb_real first, last; /* of their clocks */
     fb_lane_signs signs; /* not of sparse equations */
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
     /* for the beginning of a run */
@@ -49,20 +49,15 @@ static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, con
     return fb_select(t < c->first, c->first, fb_select(t > c->last, c->last, t));
 }
 
-/* The end of a lane's piece of time: the next breakpoint, or the end of the run; ... */
-static inline double fb_lanes_bound(const fb_lanes *c, const fb_ensemble *e, const int lane)
+/* The segment in which a lane is, which its clock enters; returns its end. */
+static inline double fb_lanes_segment(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
-    return c->next_break[lane] < e->breaks.n ? e->breaks.times[c->next_break[lane]] - e->origin : e->t_bound;
-}
-
-/* ... and the interval in which inputs are evaluated for it. */
-static inline void fb_lanes_piece(fb_lanes *c, const fb_ensemble *e, const int lane)
-{
-    const int next = c->next_break[lane];
-    const double first = next > 0 ? e->breaks.after[next - 1] : e->breaks.first;
-    const double last = next < e->breaks.n ? e->breaks.before[next] : e->breaks.last;
-    c->first[lane] = first < last ? first : last;
-    c->last[lane] = first < last ? last : first;
+    const fb_segment segment = fb_segment_behind(&e->breaks, c->next_break[lane], 0.0, e->t_bound, e->origin);
+    fb_clock clock;
+    fb_enter_clock(&clock, &segment);
+    c->first[lane] = clock.first;
+    c->last[lane] = clock.last;
+    return segment.t_bound;
 }
 
 /* x' of the requested lanes. */
@@ -182,7 +177,7 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
         c->member[lane] = member;
         c->next_time[lane] = c->n_steps[lane] = 0;
         c->rejected[lane] = c->next_break[lane] = 0;
-        fb_lanes_piece(c, e, lane);
+        c->bound[lane] = fb_lanes_segment(c, e, lane);
         c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
         double *const x = e->x + member * N_X;
         s->kernel->prepare(e->p + member * N_P, s->lane_constants);
@@ -371,7 +366,7 @@ static void fb_lanes_propose(fb_lanes *restrict c, const fb_ensemble *e, double 
             continue;
         }
         t_new[lane] = t + c->h_abs[lane] * direction;
-        const double bound = fb_lanes_bound(c, e, lane);
+        const double bound = c->bound[lane];
         if (direction * (t_new[lane] - bound) > 0.0) {
             t_new[lane] = bound;
             proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
@@ -400,9 +395,9 @@ static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, cons
             c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
             if (t_new[lane] == e->t_bound)
                 fb_leave(c, e, lane, FB_MEMBER_DONE);
-            else if (t_new[lane] == fb_lanes_bound(c, e, lane)) {
+            else if (t_new[lane] == c->bound[lane]) {
                 c->next_break[lane] += 1;
-                fb_lanes_piece(c, e, lane);
+                c->bound[lane] = fb_lanes_segment(c, e, lane);
                 passed[lane] = -1;
             }
         }

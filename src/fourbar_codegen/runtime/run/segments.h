@@ -2,15 +2,10 @@
 #ifndef FOURBAR_SEGMENTS_H
 #define FOURBAR_SEGMENTS_H
 
+#include "../kernel/breakpoints.h"
 #include "events.h"
 #include "run.h"
 #include "samples.h"
-
-/* The part of a run between two boundaries: its beginning and end, by the run's clock; and the first and the last time,
- * in the order of the run, at which inputs are evaluated. */
-typedef struct fb_segment {
-    double t, t_bound, first, last;
-} fb_segment;
 
 /* x' at the beginning, and the length of the first step. */
 static inline int fb_begin(fb_run *r)
@@ -29,9 +24,7 @@ static inline int fb_begin(fb_run *r)
 /* The segment in which the run goes on. */
 static inline void fb_set_segment(fb_run *r, const fb_segment *segment)
 {
-    fb_clock *const clock = &r->stepper.problem->clock;
-    clock->first = segment->first < segment->last ? segment->first : segment->last;
-    clock->last = segment->first < segment->last ? segment->last : segment->first;
+    fb_enter_clock(&r->stepper.problem->clock, segment);
     r->stepper.t = segment->t;
     r->t_bound = r->samples.until = segment->t_bound;
 }

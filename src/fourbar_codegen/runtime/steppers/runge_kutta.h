@@ -7,6 +7,7 @@
 #ifndef FOURBAR_RUNGE_KUTTA_H
 #define FOURBAR_RUNGE_KUTTA_H
 
+#include "../kernel/breakpoints.h"
 #include "step_control.h"
 #include "stepper.h"
 
@@ -121,6 +122,21 @@ static inline int fb_fixed_step(fb_stepper *s, const double h, const double t_ne
     }
     fb_accept(s, t_new);
     return FB_OK;
+}
+
+/* The same across breakpoints, which divide the step. */
+static inline int fb_fixed_step_across(fb_stepper *s, const double h, const double t_new, fb_next_segment *next,
+                                       void *of)
+{
+    const double t_old = s->t;
+    int status = FB_OK;
+    while (status == FB_OK && s->t != t_new) {
+        const fb_segment segment = next(of, s->t, t_new);
+        const int is_whole = s->t == t_old && segment.t_bound == t_new;
+        fb_enter_clock(&s->problem->clock, &segment);
+        status = fb_fixed_step(s, is_whole ? h : segment.t_bound - s->t, segment.t_bound);
+    }
+    return status;
 }
 
 #endif

@@ -538,8 +538,8 @@ def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_
     """Built with the headers of another version, in which a struct of ensembles has one more member."""
     headers = shutil.copytree(fb.get_include(), tmp_path / "headers")
     text = (headers / "lanes/batch.h").read_text()
-    assert "    long n_times;\n" in text
-    (headers / "lanes/batch.h").write_text(text.replace("    long n_times;\n", "    long n_times, more;\n"))
+    assert "    int64_t n_times;\n" in text
+    (headers / "lanes/batch.h").write_text(text.replace("    int64_t n_times;\n", "    int64_t n_times, more;\n"))
     with monkeypatch.context() as patched:
         patched.setattr("fourbar_codegen.building.toolchain.get_include", lambda: str(headers))
         module = fb.build_model(slider(), tmp_path / "built", check=False)  # which would load it

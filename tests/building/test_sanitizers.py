@@ -167,7 +167,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
             rate[i] = i == 2 ? 1 : -1;
         forward.fsal = forward.interpolant_valid = 0;
         fb_kept_steps record = {.room = 10000, .rows = doubles(10000 * (2 + n)), .sample_t = doubles(50),
-                          .sample_row = calloc(50, sizeof(long))};
+                          .sample_row = calloc(50, sizeof(int64_t))};
         fb_observer differentiates = fb_forward_observer(&forward, 1), keeps = fb_kept_steps_observer(&record);
         differentiates.next = &keeps;
         s.observers = &differentiates;
@@ -200,10 +200,10 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         adjoint.wrt_states = samples;
         adjoint.wrt_outputs = k->n_o ? weights : NULL;
         adjoint.wrt_source = &wrt_source;
-        long sample = s.samples.n;
+        int64_t sample = s.samples.n;
         const double reached = stepper->x[0];
         problem.clock = fb_all_time;
-        for (long row = record.n - 1; row >= 0; --row)
+        for (int64_t row = record.n - 1; row >= 0; --row)
             fb_step_vjp(stepper, &adjoint, row, &sample);
         free(varied), free(forward.samples), free(record.rows), free(record.sample_t), free(record.sample_row);
         free(memory), free(weights), free(wrt_source), free(changes), free(rate), free(of_speeds), free(scratch);
@@ -273,7 +273,7 @@ typedef struct work {
     const fb_batch_functions *batch_functions;
     const fb_batch *batch;
     const fb_ensemble *ensemble;
-    long begin, end;
+    int64_t begin, end;
 } work;
 
 static void *on_thread(void *given)
@@ -286,7 +286,7 @@ static void *on_thread(void *given)
     return NULL;
 }
 
-static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensemble *ensemble, const long n)
+static void on_threads(const fb_kernel *k, const fb_batch *batch, const fb_ensemble *ensemble, const int64_t n)
 {
     pthread_t threads[3];
     work works[3];
@@ -308,8 +308,8 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
     double *const samples = doubles(N * n_x * 3), *const values = doubles(N * 2), *const tolerance = doubles(n_x);
     const double times[3] = {0.0, 0.123, 0.5};
     const int stop = 0;
-    char status[N] = {0};
-    long counts[N], next = 0, ended = 0;
+    int8_t status[N] = {0};
+    int64_t counts[N], next = 0, ended = 0;
     double sum = 0.0;
     for (int i = 0; i < N; ++i) {
         t[i] = 0.1 * i;

@@ -26,6 +26,7 @@ def wrapper_text(model: Model, layout: Layout) -> str:
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Free, PyMem_Malloc
 from cpython.pycapsule cimport PyCapsule_New
+from libc.stdint cimport int64_t
 
 cnp.import_array()
 
@@ -33,7 +34,7 @@ cdef extern from "{name}_kernel.h":
     const char *FB_CAPSULE_NAME
     int FB_OK
     ctypedef struct fb_kernel:
-        size_t work_size
+        int64_t work_size
         int n_x, n_p, n_r, n_constants
         void (*prepare)(const double *, double *)
         int (*rhs)(double, const double *, const double *, const double *, double *, void *)

@@ -4,6 +4,7 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.stdint cimport int8_t, int64_t
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_CONSTRAINT_JVP, FB_STATE_PARTIALS, Evaluator, data, fb_batch_functions, fb_kernel, fb_source)
@@ -16,13 +17,13 @@ cnp.import_array()
 cdef extern from "lanes/batch.h":
     ctypedef struct fb_batch_array:
         const double *values
-        long stride
+        int64_t stride
     ctypedef struct fb_batch:
         const fb_kernel *kernel
-        long n
+        int64_t n
         fb_batch_array t, x, p, r
         double *rates
-    int fb_batch_one_by_one(const fb_batch *, long, long) noexcept nogil
+    int fb_batch_one_by_one(const fb_batch *, int64_t, int64_t) noexcept nogil
     const int FB_MEMBER_DONE
     ctypedef struct fb_breaks:
         int n
@@ -32,7 +33,7 @@ cdef extern from "lanes/batch.h":
         double first, last
     ctypedef struct fb_ensemble:
         const fb_kernel *kernel
-        long n
+        int64_t n
         double *x
         const double *p
         int n_sources
@@ -42,20 +43,20 @@ cdef extern from "lanes/batch.h":
         int project
         double origin, t_bound, max_step
         fb_breaks breaks
-        long max_steps
+        int64_t max_steps
         const double *rtol
         const double *atol
         const double *times
-        long n_times
+        int64_t n_times
         double *samples
-        char *status
-        long *n_evaluations
-        long *next
-        long *n_ended
+        int8_t *status
+        int64_t *n_evaluations
+        int64_t *next
+        int64_t *n_ended
         const int *stop
     ctypedef struct fb_batch_functions:
         int width
-        int (*batch)(const fb_batch *, long, long) noexcept nogil
+        int (*batch)(const fb_batch *, int64_t, int64_t) noexcept nogil
         int (*run)(const fb_ensemble *) noexcept nogil
 
 cdef extern from "lanes/jacobians.h":
@@ -63,7 +64,7 @@ cdef extern from "lanes/jacobians.h":
     const int FB_INDEX_3
     ctypedef struct fb_jacobians:
         const fb_kernel *kernel
-        long n
+        int64_t n
         fb_batch_array t, x, p, r, rates, multipliers
         const char *in_force
         int variables
@@ -75,7 +76,7 @@ cdef extern from "lanes/jacobians.h":
         double *wrt_rate
         double *wrt_parameters
         double *wrt_inputs
-    int fb_evaluate_jacobians(const fb_jacobians *, long, long) noexcept nogil
+    int fb_evaluate_jacobians(const fb_jacobians *, int64_t, int64_t) noexcept nogil
 
 DONE = FB_MEMBER_DONE
 
@@ -126,7 +127,7 @@ cdef class Batch:
         if r is not None:
             self.batch.r = _batch_array(r, 2)
 
-    def evaluate(self, long begin, long end):
+    def evaluate(self, int64_t begin, int64_t end):
         """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
         cdef const fb_batch_functions *functions = _batch_functions(self.evaluator)
         cdef int status
@@ -215,7 +216,7 @@ cdef class Jacobians:
             else:
                 self.batch.wrt_inputs = result
 
-    def evaluate(self, long begin, long end):
+    def evaluate(self, int64_t begin, int64_t end):
         """Evaluate the states from begin to end; other threads may evaluate others at the same time."""
         cdef int status
         with nogil:
@@ -261,19 +262,19 @@ cdef class Members:
     cdef fb_ensemble ensemble
     cdef Evaluator evaluator
     cdef fb_source *sources
-    cdef long next, ended
+    cdef int64_t next, ended
     cdef int stopped
     cdef list kept
     cdef readonly object samples, status, n_evaluations
 
     def __cinit__(self, Evaluator evaluator not None, str method, double t, double t_bound, x, p, sources,
-                  double max_step, rtol, atol, bint project, times, breaks, long max_steps):
+                  double max_step, rtol, atol, bint project, times, breaks, int64_t max_steps):
         cdef fb_ensemble *e = &self.ensemble
-        cdef long n = len(x)
+        cdef int64_t n = len(x)
         cdef int k = 0
         cdef cnp.ndarray samples = np.full((n, evaluator.n_x, len(times)), np.nan)
         cdef cnp.ndarray status = np.zeros(n, dtype=np.int8)
-        cdef cnp.ndarray n_evaluations = np.zeros(n, dtype=np.dtype("l"))
+        cdef cnp.ndarray n_evaluations = np.zeros(n, dtype=np.int64)
         given = [(i, source) for i, source in enumerate(sources) if source is not None]
         cdef cnp.ndarray values = np.zeros((n, len(given)))
         towards = np.copysign(np.inf, t_bound - t)
@@ -301,8 +302,8 @@ cdef class Members:
         e.breaks.n, e.breaks.times = np.shape(breaks)[1], data(breaks)
         e.breaks.before, e.breaks.after = data(breaks) + e.breaks.n, data(breaks) + 2 * e.breaks.n
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
-        e.samples, e.status = data(samples), <char *>cnp.PyArray_DATA(status)
-        e.n_evaluations = <long *>cnp.PyArray_DATA(n_evaluations)
+        e.samples, e.status = data(samples), <int8_t *>cnp.PyArray_DATA(status)
+        e.n_evaluations = <int64_t *>cnp.PyArray_DATA(n_evaluations)
         e.next, e.n_ended, e.stop = &self.next, &self.ended, &self.stopped
 
     def __dealloc__(self):

@@ -2,6 +2,7 @@
 """Declarations shared by the runtime's extension modules."""
 
 cimport numpy as cnp
+from libc.stdint cimport int64_t
 
 cdef extern from "fourbar_kernel.h":
     const int FB_ABI_VERSION
@@ -58,9 +59,9 @@ cdef extern from "fourbar_kernel.h":
     bint fb_attach(fb_function *, const fb_part *) noexcept nogil
     ctypedef struct fb_kernel:
         int abi_version
-        size_t struct_size
+        int64_t struct_size
         int n_roles
-        size_t work_size
+        int64_t work_size
         int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o, n_breakpoints, n_constants
         int states_need_solution
         void (*prepare)(const double *, double *) noexcept nogil

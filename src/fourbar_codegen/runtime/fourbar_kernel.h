@@ -14,8 +14,9 @@
 #include "fourbar_enums.h"
 
 #include <stddef.h>
+#include <stdint.h>
 
-#define FB_ABI_VERSION 22
+#define FB_ABI_VERSION 23
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -41,35 +42,35 @@ typedef struct fb_at {
     double t;
     const double *x, *constants, *r;
     const double *accelerations, *multipliers; /* u', and lambda with unknown forces behind it */
-    int n_directions; /* of JVPs: the columns of directions and results, FB_DIRECTIONS at most */
+    int32_t n_directions; /* of JVPs: the columns of directions and results, FB_DIRECTIONS at most */
 } fb_at;
 
 /* The name and the shape of an argument or a result; a vector has FB_VECTOR columns. */
 typedef struct fb_array {
     const char *name;
-    int rows, columns;
+    int32_t rows, columns;
 } fb_array;
 
 /* A function of a state. Its role is its place in the table; see fourbar_enums.h. */
 typedef struct fb_function {
     /* returns an FB_STATUS; NULL in a kernel or part that has no function of that role */
     int (*call)(const fb_at *at, const double *const *arguments, double *const *results, void *work);
-    int needs; /* of fb_at: FB_NEEDS */
-    int n_arguments, n_results;
+    int32_t needs; /* of fb_at: FB_NEEDS */
+    int32_t n_arguments, n_results;
     const fb_array *arguments, *results;
 } fb_function;
 
 /* Functions that a simulation by an explicit method does not need, which may be in a library of their own. */
 typedef struct fb_part {
-    int abi_version;
-    size_t struct_size;
+    int32_t abi_version;
+    int64_t struct_size;
     fb_function functions[FB_N_ROLES];
 } fb_part;
 
 /* Adds the functions of a part to a table; returns whether it was built with these headers, as it must be. */
 static inline int fb_attach(fb_function *functions, const fb_part *part)
 {
-    if (part->abi_version != FB_ABI_VERSION || part->struct_size != sizeof(fb_part))
+    if (part->abi_version != FB_ABI_VERSION || part->struct_size != (int64_t)sizeof(fb_part))
         return 0;
     for (int role = 0; role < FB_N_ROLES; ++role)
         if (part->functions[role].call != NULL)
@@ -83,24 +84,24 @@ enum FB_LAST { FB_LAST_ANY = 0, FB_LAST_RHS = 1, FB_LAST_PROJECT = 2 };
 typedef struct fb_batch_functions fb_batch_functions; /* lanes/batch.h */
 
 typedef struct fb_kernel {
-    int abi_version;
-    size_t struct_size;
-    int n_roles; /* FB_N_ROLES */
-    size_t work_size;
-    int n_q, n_u, n_z; /* coordinates, speeds, auxiliary states */
-    int n_x;           /* all of these */
-    int n_p, n_r;
-    int states_need_solution; /* whether z' contains u' or lambda */
-    int n_h;                  /* position constraints */
-    int n_c;                  /* velocity constraints */
-    int n_l;                  /* multipliers: n_c, then unknown forces that drive the motion */
-    int n_i;                  /* invariants: position constraints that no speed changes, such as norms of quaternions */
-    int n_o;                  /* outputs */
-    int n_breakpoints;        /* times at which expressions of time may have a jump or a kink */
-    int n_points;             /* drawn points */
-    int n_forces;             /* drawn points on which forces of inputs act */
-    int n_constants;
-    const int *position_row; /* for each position constraint the row of J that keeps it, or -1 */
+    int32_t abi_version;
+    int64_t struct_size;
+    int32_t n_roles; /* FB_N_ROLES */
+    int64_t work_size;
+    int32_t n_q, n_u, n_z; /* coordinates, speeds, auxiliary states */
+    int32_t n_x;           /* all of these */
+    int32_t n_p, n_r;
+    int32_t states_need_solution; /* whether z' contains u' or lambda */
+    int32_t n_h;                  /* position constraints */
+    int32_t n_c;                  /* velocity constraints */
+    int32_t n_l;                  /* multipliers: n_c, then unknown forces that drive the motion */
+    int32_t n_i;           /* invariants: position constraints that no speed changes, such as norms of quaternions */
+    int32_t n_o;           /* outputs */
+    int32_t n_breakpoints; /* times at which expressions of time may have a jump or a kink */
+    int32_t n_points;      /* drawn points */
+    int32_t n_forces;      /* drawn points on which forces of inputs act */
+    int32_t n_constants;
+    const int32_t *position_row; /* for each position constraint the row of J that keeps it, or -1 */
 
     void (*prepare)(const double *p, double *constants);
     void (*default_inputs)(double t, const double *constants, double *r);
@@ -164,9 +165,9 @@ typedef struct fb_kernel {
     const fb_part *derivatives;                /* or NULL, if they are in a library of their own; ... */
     const fb_part *products;                   /* ... likewise */
     const fb_batch_functions *batch_functions; /* the same for batches of states, or NULL */
-    int batch_functions_apart;                 /* whether they are in a library of their own */
-    int one_machine;                /* whether it was compiled for the processor of one machine; else it is portable */
-    int instructions;               /* an FB_INSTRUCTION_SET */
+    int32_t batch_functions_apart;             /* whether they are in a library of their own */
+    int32_t one_machine;            /* whether it was compiled for the processor of one machine; else it is portable */
+    int32_t instructions;           /* an FB_INSTRUCTION_SET */
     const struct fb_kernel *faster; /* the same for processors with more instructions, or NULL; empty, with abi_version
                                      * 0, if the compiler was not told to use them */
 } fb_kernel;

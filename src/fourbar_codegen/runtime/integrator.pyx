@@ -5,6 +5,7 @@ cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
 from libc.math cimport INFINITY, NAN, fabs, fmax
+from libc.stdint cimport int64_t
 from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
@@ -41,7 +42,7 @@ cdef extern from "steppers/stepper.h":
         double *stages
         double *interpolant
         int fsal
-        long n_evaluations, n_steps
+        int64_t n_evaluations, n_steps
     int FB_PADDED(int) noexcept nogil
     size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
     int fb_evaluate(fb_stepper *, double, const double *, double *) noexcept nogil
@@ -68,23 +69,23 @@ cdef extern from "steppers/runge_kutta.h":
     int fb_fixed_step_across(fb_stepper *, double, double, fb_segment (void *, double, double) noexcept nogil,
                              void *) noexcept nogil
     const fb_method fb_runge_kutta
-    double fb_fixed_time(double, double, long) noexcept nogil
+    double fb_fixed_time(double, double, int64_t) noexcept nogil
     int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
 
 cdef extern from "steppers/ali3p.h":
     const fb_method fb_augmented_lagrangian
     ctypedef struct fb_augmented:
-        long n_jacobians, n_factorizations
+        int64_t n_jacobians, n_factorizations
     size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
 
 cdef extern from "run/driver.h":
     int FB_RUN_PAUSED
     ctypedef struct fb_samples:
         const double *times
-        long n_times
+        int64_t n_times
         double *t
         double *x
-        long room, n
+        int64_t room, n
         int pending
         double until
     ctypedef struct fb_watch:
@@ -106,7 +107,7 @@ cdef extern from "run/driver.h":
         fb_observer *observers
     int fb_begin(fb_run *) noexcept nogil
     int fb_step(fb_run *) noexcept nogil
-    int fb_run_on(fb_run *, long) noexcept nogil
+    int fb_run_on(fb_run *, int64_t) noexcept nogil
     int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
     int fb_stop_within(fb_run *, double) noexcept nogil
     void fb_undo(fb_run *) noexcept nogil
@@ -114,9 +115,9 @@ cdef extern from "run/driver.h":
 
 cdef extern from "run/kept_steps.h":
     ctypedef struct fb_kept_steps:
-        long n, room
+        int64_t n, room
         double *rows
-        long *sample_row
+        int64_t *sample_row
         double *sample_t
     void fb_keep_step(fb_kept_steps *, const fb_stepper *, double) noexcept nogil
     fb_observer fb_kept_steps_observer(fb_kept_steps *) noexcept nogil
@@ -151,7 +152,7 @@ cdef extern from "derivatives/adjoint_sensitivity.h":
     ctypedef struct fb_adjoint:
         const double *rows
         fb_velocity_jump jump
-        const long *sample_row
+        const int64_t *sample_row
         const double *sample_t
         const double *wrt_states
         const double *wrt_outputs
@@ -159,7 +160,7 @@ cdef extern from "derivatives/adjoint_sensitivity.h":
         double *wrt_state
         double *wrt_parameters
         double **wrt_source
-    int fb_step_vjp(fb_stepper *, fb_adjoint *, long, long *) noexcept nogil
+    int fb_step_vjp(fb_stepper *, fb_adjoint *, int64_t, int64_t *) noexcept nogil
     size_t fb_place_adjoint(const fb_stepper *, fb_adjoint *, double *) noexcept nogil
 
 
@@ -809,7 +810,7 @@ cdef class Run:
     cdef double origin, t_begin, t_bound
     cdef double since_begin
     cdef object times
-    cdef long n_taken
+    cdef int64_t n_taken
     cdef cnp.ndarray kept_t
     cdef cnp.ndarray kept_x
     cdef fb_forward forward
@@ -916,7 +917,7 @@ cdef class Run:
 
     def take_samples(self):
         """The samples since the last call, shapes (n,) and (n, n_x)."""
-        cdef long i, n = self.run.samples.n
+        cdef int64_t i, n = self.run.samples.n
         cdef cnp.ndarray times, states
         if self.times is None:
             times = new_array(n)
@@ -939,15 +940,15 @@ cdef class Run:
         self.run.samples.n = 0
         return samples
 
-    cdef int _make_room(self, long room) except -1:
+    cdef int _make_room(self, int64_t room) except -1:
         self.kept_t, self.kept_x = new_array(room), new_array(room, self.run.stepper.n)
         self.run.samples.t, self.run.samples.x, self.run.samples.room = data(self.kept_t), data(self.kept_x), room
         if self.varied is not None:
             self.kept_s = new_array(room, self.forward.size)
             self.forward.samples = data(self.kept_s)
         if self.places is not None:
-            self.kept_places, self.kept_since = np.empty(room, dtype="l"), new_array(room)
-            self.steps.sample_row = <long *>cnp.PyArray_DATA(self.kept_places)
+            self.kept_places, self.kept_since = np.empty(room, dtype=np.int64), new_array(room)
+            self.steps.sample_row = <int64_t *>cnp.PyArray_DATA(self.kept_places)
             self.steps.sample_t = data(self.kept_since)
         return 0
 
@@ -1019,7 +1020,7 @@ cdef class Run:
                 self.forward.s[i] = NAN
         return 0
 
-    def on(self, long steps):
+    def on(self, int64_t steps):
         """Take up to this number of steps; returns the `StopReason`."""
         cdef int status
         with nogil:
@@ -1198,7 +1199,7 @@ cdef class Steps:
     @property
     def end(self):
         """The last state, shape (n_x,), and its time since the beginning."""
-        cdef long last = len(self.ends) - 1
+        cdef int64_t last = len(self.ends) - 1
         return np.array(self.ends[last, 2:]), float(self.ends[last, 0])
 
     def gradient(self, wrt_states, wrt_outputs=None):
@@ -1228,7 +1229,7 @@ cdef class Steps:
         cdef fb_adjoint adjoint
         cdef cnp.ndarray state_seeds = np.ascontiguousarray(wrt_states, dtype=np.float64), output_seeds
         cdef cnp.ndarray memory, _steps, part, rates
-        cdef long row, sample = np.size(self.times), until
+        cdef int64_t row, sample = np.size(self.times), until
         cdef int status = FB_OK
         cdef double *rest
         memset(&stepper, 0, sizeof(stepper))
@@ -1239,7 +1240,7 @@ cdef class Steps:
         fb_place_adjoint(&stepper, &adjoint, data(memory))
         ode.evaluator.function(FB_CONSTRAINT_JVP)
         adjoint.rows = data(self.ends)
-        adjoint.sample_row, adjoint.sample_t = <const long *>cnp.PyArray_DATA(self.places), data(self.times)
+        adjoint.sample_row, adjoint.sample_t = <const int64_t *>cnp.PyArray_DATA(self.places), data(self.times)
         adjoint.wrt_states = data(state_seeds)
         if wrt_outputs is not None:
             output_seeds = np.ascontiguousarray(wrt_outputs, dtype=np.float64)
@@ -1303,7 +1304,7 @@ cdef class Stepper:
 
     # The rows of breakpoints are the times, the last ones before them, and the first ones after them.
 
-    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, long n_steps=0, jumps=(),
+    def __cinit__(self, Ode ode not None, double h, double t, x, bint project, int64_t n_steps=0, jumps=(),
                   breakpoints=((), (), ())):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
@@ -1412,7 +1413,7 @@ cdef class Stepper:
         cdef fb_stepper *stepper = &self.stepper
         cdef cnp.ndarray start = _state_of(stepper)
         cdef double t_old = stepper.t
-        cdef long n_steps = stepper.n_steps
+        cdef int64_t n_steps = stepper.n_steps
         cdef fb_passed passed = fb_passed(breaks=&self.breaks, n=self.n_passed)
         cdef int status = fb_fixed_step_across(stepper, self.h, self._time_after(1), fb_segment_ahead, &passed)
         stepper.problem.clock.first, stepper.problem.clock.last = -INFINITY, INFINITY
@@ -1424,7 +1425,7 @@ cdef class Stepper:
         stepper.n_steps = n_steps + (status == FB_OK)
         return status
 
-    cdef double _time_after(self, long steps) noexcept:
+    cdef double _time_after(self, int64_t steps) noexcept:
         """The time after so many more steps."""
         return fb_fixed_time(self.t_begin, self.h, self.stepper.n_steps + steps)
 
@@ -1590,7 +1591,7 @@ cdef class DenseOutput:
         check_within(at, self.times[0], self.times[len(self.times) - 1])  # without wraparound
         return at
 
-    cdef double *_state_at(self, double t, long place, double *x) except NULL:
+    cdef double *_state_at(self, double t, int64_t place, double *x) except NULL:
         """The state at a time in a step; returns the step's beginning and length."""
         cdef cnp.ndarray step = self.steps[place]
         cdef int n = self.ode.evaluator.n_x

@@ -23,7 +23,7 @@ typedef struct fb_adjoint {
     fb_velocity_jump jump; /* at the beginning of the present piece */
     /* the samples: the row whose step contains each, and its time; the cost's derivatives with respect to states and
      * outputs there */
-    const long *sample_row;
+    const int64_t *sample_row;
     const double *sample_t, *wrt_states, *wrt_outputs; /* the latter (n_samples, n_o), or NULL */
     const double *output_t; /* their absolute times: at the end of a piece, outputs may be those after it */
     /* the results: with respect to the state where the sweep has arrived, to parameters, and for each source of an
@@ -191,7 +191,7 @@ static inline int fb_outputs_vjp(fb_problem *p, fb_adjoint *a, const double t, c
 }
 
 /* The cost's derivative with respect to the state at a sample. */
-static inline int fb_sample_vjp(fb_problem *p, fb_adjoint *a, const long sample, const double *x, double *wrt_state)
+static inline int fb_sample_vjp(fb_problem *p, fb_adjoint *a, const int64_t sample, const double *x, double *wrt_state)
 {
     const int n_x = p->kernel->n_x, n_o = p->kernel->n_o;
     for (int i = 0; i < n_x; ++i)
@@ -250,13 +250,13 @@ static inline int fb_interpolant_vjp(fb_stepper *s, fb_adjoint *a)
 }
 
 /* The samples within a step, at states that the interpolant gives. */
-static inline int fb_samples_within_vjp(fb_stepper *s, fb_adjoint *a, const long first, const long end)
+static inline int fb_samples_within_vjp(fb_stepper *s, fb_adjoint *a, const int64_t first, const int64_t end)
 {
     const fb_tableau *const m = s->tableau;
     const int n = s->n, n_pieces = m->n_dense + (m->hermite ? 3 : 0);
     int status = fb_evaluate(s, s->t, s->x, s->stages + m->n_stages * s->padded);
     memset(a->wrt_pieces, 0, (size_t)(n_pieces * s->padded) * sizeof *a->wrt_pieces);
-    for (long sample = first; sample < end && status == FB_OK; ++sample) {
+    for (int64_t sample = first; sample < end && status == FB_OK; ++sample) {
         double *const at = a->at, *const wrt_sample = a->wrt_sample;
         status = fb_state_at(s, a->sample_t[sample], at);
         memset(wrt_sample, 0, (size_t)n * sizeof *wrt_sample);
@@ -277,7 +277,7 @@ static inline int fb_samples_within_vjp(fb_stepper *s, fb_adjoint *a, const long
 }
 
 /* From the end of the step of a row to its beginning; the samples before number `*sample` belong to it. */
-static inline int fb_step_vjp(fb_stepper *s, fb_adjoint *a, const long row, long *sample)
+static inline int fb_step_vjp(fb_stepper *s, fb_adjoint *a, const int64_t row, int64_t *sample)
 {
     const fb_tableau *const m = s->tableau;
     const int n = s->n, width = 2 + n, n_stages = m->n_stages;
@@ -295,7 +295,7 @@ static inline int fb_step_vjp(fb_stepper *s, fb_adjoint *a, const long row, long
         status = fb_jump_vjp(s->problem, a, to - width + 2, a->wrt_state);
     if (status != FB_OK || begins)
         return status;
-    const long last = *sample;
+    const int64_t last = *sample;
     while (*sample > 0 && a->sample_row[*sample - 1] == row)
         --*sample;
     /* the stages again */

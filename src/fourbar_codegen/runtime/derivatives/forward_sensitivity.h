@@ -402,7 +402,8 @@ static inline int fb_forward_at(fb_stepper *stepper, fb_forward *f, const double
 }
 
 /* S for a sample. */
-static inline int fb_forward_sample(void *of, fb_stepper *stepper, const long sample, const double t, const double *x)
+static inline int fb_forward_sample(void *of, fb_stepper *stepper, const int64_t sample, const double t,
+                                    const double *x)
 {
     fb_forward *const f = of;
     /* Within a step, x was projected. */

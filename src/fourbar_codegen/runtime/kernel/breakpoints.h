@@ -16,7 +16,7 @@ typedef fb_segment fb_next_segment(void *of, double t, double t_end);
 /* Times between the ends of runs, in their order, at which steps end; inputs are evaluated from `first` on, at each of
  * the times up to `before` and then from `after` on, up to `last`. */
 typedef struct fb_breaks {
-    int n;
+    int32_t n;
     const double *times, *before, *after; /* (n,) */
     double first, last;
 } fb_breaks;

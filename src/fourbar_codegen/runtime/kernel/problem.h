@@ -10,7 +10,7 @@
 
 /* A function of time by polynomials between given times, both ends included, constant before and after. */
 typedef struct fb_table {
-    int n_intervals, n_coefficients;
+    int32_t n_intervals, n_coefficients;
     const double *times; /* (n_intervals + 1,), strictly increasing */
     const double
         *coefficients; /* (n_intervals, n_coefficients), highest power first, of the time since the beginning */
@@ -58,10 +58,10 @@ static inline double fb_time(const fb_clock *clock, const double since)
 
 /* The source of an input that is not given by its expression. */
 typedef struct fb_source {
-    int input;
+    int32_t input;
     double value;          /* if there is no table */
     const fb_table *table; /* or NULL */
-    int interval;
+    int32_t interval;
 } fb_source;
 
 typedef struct fb_problem fb_problem;

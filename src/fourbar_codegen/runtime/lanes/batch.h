@@ -13,10 +13,10 @@
  * values. */
 typedef struct fb_batch_array {
     const double *values;
-    long stride;
+    int64_t stride;
 } fb_batch_array;
 
-static inline double fb_entry(const fb_batch_array *array, const int row, const long i)
+static inline double fb_entry(const fb_batch_array *array, const int row, const int64_t i)
 {
     return array->values[array->stride ? row * array->stride + i : row];
 }
@@ -24,7 +24,7 @@ static inline double fb_entry(const fb_batch_array *array, const int row, const 
 /* The right-hand side at n states. */
 typedef struct fb_batch {
     const fb_kernel *kernel;
-    long n;
+    int64_t n;
     /* (1, n), (n_x, n), (n_p, n), (n_r, n); r.values may be NULL, for the inputs' expressions */
     fb_batch_array t, x, p, r;
     double *rates; /* (n_x, n), NaN where the equations cannot be evaluated */
@@ -39,33 +39,33 @@ enum FB_MEMBER {
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {
     const fb_kernel *kernel; /* for one state */
-    long n;
+    int64_t n;
     double *x;       /* (n, n_x): the initial states, projected onto the constraints at the start of each run */
     const double *p; /* (n, n_p) */
-    int n_sources;
+    int32_t n_sources;
     const fb_source *sources; /* of inputs that are not given by their expressions */
     const double *values;     /* (n, n_sources): those of sources without a table */
     const fb_tableau *method;
-    int project;
+    int32_t project;
     double origin, t_bound, max_step; /* the start of all runs; the end, like all times of the runs, since the start */
     fb_breaks breaks;
-    long max_steps;            /* of each; 0 for no limit */
+    int64_t max_steps;         /* of each; 0 for no limit */
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */
-    long n_times;
-    double *samples;      /* (n, n_x, n_times) */
-    char *status;         /* (n,): FB_MEMBER */
-    long *n_evaluations;  /* (n,) */
-    long *next, *n_ended; /* counters of members, shared by all workers */
-    const int *stop;      /* whether to stop early */
+    int64_t n_times;
+    double *samples;         /* (n, n_x, n_times) */
+    int8_t *status;          /* (n,): FB_MEMBER */
+    int64_t *n_evaluations;  /* (n,) */
+    int64_t *next, *n_ended; /* counters of members, shared by all workers */
+    const int32_t *stop;     /* whether to stop early */
 } fb_ensemble;
 
 /* The sizes of all types passed to a model's functions for batches of states, which may have been built with other
  * headers than the caller. */
 typedef struct fb_layout {
-    int abi_version;
-    size_t batch_functions; /* of fb_batch_functions itself: the following sizes are read only if this one agrees */
-    size_t kernel, batch, batch_array, ensemble, source, table, tableau;
+    int32_t abi_version;
+    int64_t batch_functions; /* of fb_batch_functions itself: the following sizes are read only if this one agrees */
+    int64_t kernel, batch, batch_array, ensemble, source, table, tableau;
 } fb_layout;
 
 #define FB_LAYOUT                                                                                                      \
@@ -82,9 +82,9 @@ typedef struct fb_layout {
 /* A model's functions for batches of states; width 0 if the compiler has no vectors. */
 struct fb_batch_functions {
     fb_layout layout;
-    int width;
+    int32_t width;
     /* the states from begin to end; returns 0, or -1 without memory */
-    int (*batch)(const fb_batch *batch, long begin, long end);
+    int (*batch)(const fb_batch *batch, int64_t begin, int64_t end);
     /* runs members until none is waiting; returns 0, or -1 without memory. Workers call it concurrently. */
     int (*run)(const fb_ensemble *ensemble);
 };
@@ -100,7 +100,7 @@ static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
 }
 
 /* The same by the kernel for single states. */
-static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const long end)
+static inline int fb_batch_one_by_one(const fb_batch *b, const int64_t begin, const int64_t end)
 {
     const fb_kernel *const k = b->kernel;
     const int n_x = k->n_x;
@@ -111,7 +111,7 @@ static inline int fb_batch_one_by_one(const fb_batch *b, const long begin, const
     double *const constants = r + k->n_r;
     void *const work = constants + k->n_constants;
     memset(work, 0, k->work_size);
-    for (long i = begin; i < end; ++i) {
+    for (int64_t i = begin; i < end; ++i) {
         const double t = b->t.values[b->t.stride ? i : 0];
         for (int j = 0; j < n_x; ++j)
             x[j] = fb_entry(&b->x, j, i);

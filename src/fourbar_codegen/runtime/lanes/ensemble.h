@@ -12,11 +12,11 @@ typedef struct fb_lane_signs {
 
 typedef struct fb_lanes {
     fb_lane_equations equations; /* must come first */
-    fb_real stages[FB_MAX_STAGES + 4][N_X], interpolant[7][N_X];
+    fb_real stages[FB_MAX_STAGES][N_X], interpolant[3 + FB_MAX_DENSE][N_X];
     fb_real x[N_X], t; /* the runs' states and times */
     fb_mask active;
     fb_mask n_evaluations;
-    long member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
+    int64_t member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH], bound[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_real first, last; /* of their clocks */
@@ -149,8 +149,8 @@ static __attribute__((noinline)) fb_mask fb_lanes_project(fb_lanes *restrict c, 
 
 static inline void fb_leave(fb_lanes *c, const fb_ensemble *e, const int lane, const enum FB_MEMBER how)
 {
-    const long member = c->member[lane];
-    e->n_evaluations[member] = (long)c->n_evaluations[lane];
+    const int64_t member = c->member[lane];
+    e->n_evaluations[member] = (int64_t)c->n_evaluations[lane];
     e->status[member] = (char)how;
     __atomic_fetch_add(e->n_ended, 1, __ATOMIC_RELAXED);
     c->active[lane] = 0;
@@ -171,7 +171,7 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
     fb_lane_equations *const s = &c->equations;
     fb_stepper *const b = &c->begin;
     for (;;) {
-        const long member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
+        const int64_t member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
         if (member >= e->n)
             return;
         c->member[lane] = member;

@@ -131,12 +131,12 @@ static fb_lane_equations *fb_new_lane_equations(const fb_kernel *kernel, const s
 
 /* FB_WIDTH states from number i on, with the last one repeated if there are fewer; contiguous states are read directly.
  */
-static FB_INLINE void fb_load(const fb_batch_array *array, const int rows, const long i, const int count,
+static FB_INLINE void fb_load(const fb_batch_array *array, const int rows, const int64_t i, const int count,
                               fb_real *restrict to)
 {
     double copies[FB_AT_LEAST_1(N_X + N_P + N_R)][FB_WIDTH];
     const double *from = array->values + (array->stride ? i : 0);
-    long apart = array->stride;
+    int64_t apart = array->stride;
     if (apart == 0 || count < FB_WIDTH) {
         for (int row = 0; row < rows; ++row)
             for (int lane = 0; lane < FB_WIDTH; ++lane)
@@ -149,7 +149,7 @@ static FB_INLINE void fb_load(const fb_batch_array *array, const int rows, const
 }
 
 /* Rows of FB_WIDTH numbers, from column i on. */
-static FB_INLINE void fb_store_lanes(const fb_real *restrict from, const int rows, const long n, const long i,
+static FB_INLINE void fb_store_lanes(const fb_real *restrict from, const int rows, const int64_t n, const int64_t i,
                                      const int count, double *restrict to)
 {
     for (int row = 0; row < rows; ++row)
@@ -160,7 +160,7 @@ static FB_INLINE void fb_store_lanes(const fb_real *restrict from, const int row
 }
 
 /* Lanes with too small pivots or rates that are not finite, by the kernel for single states. */
-static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i, const int count, const fb_real *t,
+static __attribute__((noinline)) void fb_repair(const fb_batch *b, const int64_t i, const int count, const fb_real *t,
                                                 const fb_real *x, const fb_mask *good, fb_real *rates,
                                                 fb_lane_equations *s)
 {
@@ -182,7 +182,7 @@ static __attribute__((noinline)) void fb_repair(const fb_batch *b, const long i,
 }
 
 /* States from begin to end, with parameters of their own or common to all. */
-static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const long end, const int own,
+static FB_INLINE void fb_batch_of(const fb_batch *b, const int64_t begin, const int64_t end, const int own,
                                   fb_lane_equations *s)
 {
     fb_real p[FB_AT_LEAST_1(N_P)], constants[FB_AT_LEAST_1(N_CONSTANTS)], r[FB_AT_LEAST_1(N_R)];
@@ -193,7 +193,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
     /* At first as many as align the others with cache lines. */
     const uintptr_t place = (uintptr_t)((own ? b->p.values : b->x.values) + begin) / sizeof(double);
     int count = FB_WIDTH - (int)(place % FB_WIDTH);
-    for (long i = begin; i < end; i += count, count = FB_WIDTH) {
+    for (int64_t i = begin; i < end; i += count, count = FB_WIDTH) {
         count = end - i < count ? (int)(end - i) : count;
         fb_real t, x[N_X], rates[N_X], mass_matrix[N_MASS], forcing[N_U];
         fb_real constraint_jacobian[FB_AT_LEAST_1(N_JACOBIAN)], acceleration_bias[FB_AT_LEAST_1(N_C)];
@@ -222,7 +222,7 @@ static FB_INLINE void fb_batch_of(const fb_batch *b, const long begin, const lon
     }
 }
 
-static FB_FLATTEN int batch(const fb_batch *b, const long begin, const long end)
+static FB_FLATTEN int batch(const fb_batch *b, const int64_t begin, const int64_t end)
 {
     if (begin >= end)
         return 0; /* without states, not even parameters can be read */

@@ -10,7 +10,7 @@ enum FB_VARIABLES { FB_WRT_STATE = 0, FB_WRT_PARAMETERS = 1, FB_WRT_INPUTS = 2 }
 
 typedef struct fb_jacobians {
     const fb_kernel *kernel; /* with derivatives, and with their products for the residual */
-    long n;
+    int64_t n;
     fb_batch_array t, x, p, r;         /* as in fb_batch */
     fb_batch_array rates, multipliers; /* (n_x, n), (n_l, n), for the residual */
     const char *in_force;              /* (n_r,): whether an input follows the parameters by its expression */
@@ -78,7 +78,7 @@ static inline int fb_total_jacobians(const fb_jacobians *b, fb_jacobian_work *w,
     return FB_OK;
 }
 
-static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, const long i, const double t)
+static inline int fb_jacobians_at(const fb_jacobians *b, fb_jacobian_work *w, const int64_t i, const double t)
 {
     const fb_kernel *const k = b->kernel;
     const int sizes[] = {k->n_x, k->n_p, k->n_r}, m = sizes[b->variables];
@@ -174,7 +174,7 @@ static inline void fb_residual_partials(const fb_jacobians *b, fb_jacobian_work 
 }
 
 /* The residual and those of its Jacobians that are asked for. */
-static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb_implicit *s, const long i,
+static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb_implicit *s, const int64_t i,
                                   const double t)
 {
     const fb_kernel *const k = b->kernel;
@@ -195,7 +195,7 @@ static inline void fb_residual_at(const fb_jacobians *b, fb_jacobian_work *w, fb
 }
 
 /* The states from begin to end; returns 0, or -1 without memory. Other threads may evaluate others. */
-static inline int fb_evaluate_jacobians(const fb_jacobians *b, const long begin, const long end)
+static inline int fb_evaluate_jacobians(const fb_jacobians *b, const int64_t begin, const int64_t end)
 {
     const fb_kernel *const k = b->kernel;
     const int sizes[] = {k->n_x, k->n_p, k->n_r}, m = sizes[b->variables];
@@ -219,7 +219,7 @@ static inline int fb_evaluate_jacobians(const fb_jacobians *b, const long begin,
         sources[j].input = j;
     problem.constants = w.constants, problem.inputs = w.r, problem.work = w.work;
     problem.sources = sources, problem.n_sources = k->n_r;
-    for (long i = begin; i < end; ++i) {
+    for (int64_t i = begin; i < end; ++i) {
         const double t = fb_entry(&b->t, 0, i);
         for (int j = 0; j < k->n_x; ++j)
             w.x[j] = fb_entry(&b->x, j, i);

@@ -43,7 +43,7 @@ static inline int fb_is_full(const fb_run *r)
 }
 
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
-static inline int fb_run_on(fb_run *r, long n)
+static inline int fb_run_on(fb_run *r, int64_t n)
 {
     for (;;) {
         if (r->samples.pending) {

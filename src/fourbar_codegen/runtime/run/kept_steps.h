@@ -7,9 +7,9 @@
 /* A row has the time at the end of a step, its length and the state; the length is 0 where the run begins, or continues
  * from another state. */
 typedef struct fb_kept_steps {
-    long n, room;
-    double *rows;     /* (room, 2 + n_x) */
-    long *sample_row; /* for each sample in the room of fb_samples: the number of the last row, and the time */
+    int64_t n, room;
+    double *rows;        /* (room, 2 + n_x) */
+    int64_t *sample_row; /* for each sample in the room of fb_samples: the number of the last row, and the time */
     double *sample_t;
 } fb_kept_steps;
 
@@ -34,7 +34,7 @@ static inline void fb_kept_take_back(void *of)
     ((fb_kept_steps *)of)->n -= 1;
 }
 
-static inline int fb_kept_at_sample(void *of, fb_stepper *s, const long sample, const double t, const double *x)
+static inline int fb_kept_at_sample(void *of, fb_stepper *s, const int64_t sample, const double t, const double *x)
 {
     fb_kept_steps *const kept = of;
     (void)s, (void)x;

@@ -7,9 +7,9 @@
 /* Samples at given times, or after each step. */
 typedef struct fb_samples {
     const double *times; /* or NULL */
-    long n_times, next_time;
+    int64_t n_times, next_time;
     double *t, *x; /* (room,) or NULL, (room, n) */
-    long room, n;
+    int64_t room, n;
     int pending;  /* whether the last step's samples are still to be taken */
     double until; /* no samples after this time */
 } fb_samples;
@@ -37,7 +37,7 @@ typedef struct fb_pace {
     double t_begin;
     int collapsed; /* whether that was reported */
     /* the steps limited by derivatives since a step, its number and time */
-    long n_limited, marked;
+    int64_t n_limited, marked;
     double marked_t;
 } fb_pace;
 
@@ -50,7 +50,7 @@ typedef struct fb_observer {
      * begun to grow are in units of what they are after a time `soon` */
     int (*after_step)(void *of, fb_stepper *s, double soon, double *error);
     void (*take_back)(void *of); /* the last step is taken back */
-    int (*at_sample)(void *of, fb_stepper *s, long sample, double t, const double *x);
+    int (*at_sample)(void *of, fb_stepper *s, int64_t sample, double t, const double *x);
     int (*at_restart)(void *of, fb_stepper *s, int moved);             /* whether from another state */
     int (*at_end)(void *of, fb_stepper *s, double t, const double *x); /* the run ends within the last step */
     int (*is_full)(const void *of);                                    /* no other step can be taken */

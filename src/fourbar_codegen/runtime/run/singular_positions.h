@@ -18,7 +18,7 @@ static inline int fb_toggled_within(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     double *const along = r->watch.along;
-    const long n_evaluations = s->n_evaluations; /* these evaluations are not counted, like those for events */
+    const int64_t n_evaluations = s->n_evaluations; /* these evaluations are not counted, like those for events */
     int toggled = 0;
     for (int i = 0; i <= FB_LOOKS; ++i) {
         const double since = i == FB_LOOKS ? s->t : s->t_old + s->h * i / FB_LOOKS;

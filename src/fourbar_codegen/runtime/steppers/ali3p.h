@@ -64,7 +64,7 @@ typedef struct fb_augmented {
     double *kept;                                    /* multipliers, (n_c,) */
     double *accelerations;                           /* those of a state, (n_u,) */
     double *row_unit, *lambda;                       /* factors of rows, and the kernel's multipliers, (n_c,) */
-    long n_jacobians, n_factorizations;
+    int64_t n_jacobians, n_factorizations;
 } fb_augmented;
 
 /* Places the arrays in memory, unless that is NULL; returns their number of doubles. */

@@ -99,7 +99,7 @@ static const fb_method fb_runge_kutta = {.init = fb_runge_kutta_init,
                                          .interpolate = fb_interpolate_step};
 
 /* The time after n steps of length h, rounded once; sums of h could miss the end of a run by a step. */
-static inline double fb_fixed_time(const double t_begin, const double h, const long n)
+static inline double fb_fixed_time(const double t_begin, const double h, const int64_t n)
 {
     return t_begin + (double)n * h;
 }

@@ -13,7 +13,7 @@
 #include <math.h>
 #include <string.h>
 
-enum { FB_BLOCK = 8, FB_MAX_STAGES = 16, FB_MAX_EXTRA = 4, FB_MAX_DENSE = 4 };
+enum { FB_BLOCK = 8 };
 
 /* The length of n states padded to whole blocks, and the most rows of that length that `fb_place_stepper` places. */
 #define FB_PADDED(n) (((n) + FB_BLOCK - 1) / FB_BLOCK * FB_BLOCK)
@@ -79,7 +79,7 @@ struct fb_stepper {
     double *interpolant;       /* (n_dense + 3, padded) */
     int fsal;                  /* whether x' at the end of the last step is that at the beginning of the next one */
     int interpolant_valid;
-    long n_evaluations, n_steps;
+    int64_t n_evaluations, n_steps;
 };
 
 static inline void fb_weights_of(const double *dense, const int n, fb_weights *weights)

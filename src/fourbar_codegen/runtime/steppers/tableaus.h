@@ -12,18 +12,27 @@
 
 #include "../fourbar_enums.h"
 
+#include <stdint.h>
+
 #include <stddef.h>
 
+/* What has room in arrays of fixed length: the stages, x' at the end of a step and further stages; rows of the
+ * interpolant beyond the cubic Hermite polynomial's. */
+enum { FB_MAX_STAGES = 16, FB_MAX_EXTRA = 4, FB_MAX_DENSE = 4 };
+
+/* A number that is checked when it is compiled. */
+#define FB_AT_MOST(n, most) ((n) + 0 * (int32_t)sizeof(char[(n) <= (most) ? 1 : -1]))
+
 typedef struct fb_tableau {
-    int n_stages;
+    int32_t n_stages;
     const double *a, *b, *c; /* (s, s) strictly lower triangular, (s,), (s,) */
-    int n_errors;            /* 0 for fixed steps */
+    int32_t n_errors;        /* 0 for fixed steps */
     const double *error;     /* (n_errors, s + 1): weights of the stages and of x' at the step's end */
     double order;            /* of the error estimate */
-    int n_extra;             /* further stages for the interpolant */
+    int32_t n_extra;         /* further stages for the interpolant */
     const double *a_extra, *c_extra;
-    int hermite; /* whether the interpolant's first coefficients are those of the cubic Hermite polynomial */
-    int n_dense; /* further rows of its coefficients */
+    int32_t hermite; /* whether the interpolant's first coefficients are those of the cubic Hermite polynomial */
+    int32_t n_dense; /* further rows of its coefficients */
     const double *dense;
 } fb_tableau;
 
@@ -173,48 +182,52 @@ static const double fb_rk4_c[4] = {
 };
 
 /* clang-format on */
-static const fb_tableau fb_rk45 = {.n_stages = 6,
+static const fb_tableau fb_rk45 = {.n_stages = FB_AT_MOST(6, FB_MAX_STAGES - 1),
                                    .a = fb_rk45_a,
                                    .b = fb_rk45_b,
                                    .c = fb_rk45_c,
                                    .n_errors = 1,
                                    .error = fb_rk45_error,
                                    .order = 4.0,
-                                   .n_dense = 4,
+                                   .n_dense = FB_AT_MOST(4, FB_MAX_DENSE),
                                    .dense = fb_rk45_dense};
 
-static const fb_tableau fb_dop853 = {.n_stages = 12,
+static const fb_tableau fb_dop853 = {.n_stages = FB_AT_MOST(12, FB_MAX_STAGES - 4),
                                      .a = fb_dop853_a,
                                      .b = fb_dop853_b,
                                      .c = fb_dop853_c,
                                      .n_errors = 2,
                                      .error = fb_dop853_error,
                                      .order = 7.0,
-                                     .n_extra = 3,
+                                     .n_extra = FB_AT_MOST(3, FB_MAX_EXTRA),
                                      .a_extra = fb_dop853_a_extra,
                                      .c_extra = fb_dop853_c_extra,
                                      .hermite = 1,
-                                     .n_dense = 4,
+                                     .n_dense = FB_AT_MOST(4, FB_MAX_DENSE),
                                      .dense = fb_dop853_dense};
 
-static const fb_tableau fb_tsit5 = {.n_stages = 6,
+static const fb_tableau fb_tsit5 = {.n_stages = FB_AT_MOST(6, FB_MAX_STAGES - 1),
                                     .a = fb_tsit5_a,
                                     .b = fb_tsit5_b,
                                     .c = fb_tsit5_c,
                                     .n_errors = 1,
                                     .error = fb_tsit5_error,
                                     .order = 4.0,
-                                    .n_dense = 4,
+                                    .n_dense = FB_AT_MOST(4, FB_MAX_DENSE),
                                     .dense = fb_tsit5_dense};
 
 static const fb_tableau *const fb_tableaus[FB_N_METHODS] = {
     [FB_METHOD_DOP853] = &fb_dop853, [FB_METHOD_RK45] = &fb_rk45, [FB_METHOD_TSIT5] = &fb_tsit5};
 
-static const fb_tableau fb_rk4 = {.n_stages = 4, .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
+static const fb_tableau fb_rk4 = {
+    .n_stages = FB_AT_MOST(4, FB_MAX_STAGES - 1), .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
 
 /* No coefficients: steppers/ali3p.h takes the steps. The interpolant is the cubic one. */
 static const double fb_trapezoid_0[1] = {0.0};
-static const fb_tableau fb_trapezoid = {
-    .n_stages = 1, .a = fb_trapezoid_0, .b = fb_trapezoid_0, .c = fb_trapezoid_0, .hermite = 1};
+static const fb_tableau fb_trapezoid = {.n_stages = FB_AT_MOST(1, FB_MAX_STAGES - 1),
+                                        .a = fb_trapezoid_0,
+                                        .b = fb_trapezoid_0,
+                                        .c = fb_trapezoid_0,
+                                        .hermite = 1};
 
 #endif

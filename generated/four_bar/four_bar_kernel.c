@@ -379,7 +379,7 @@ static void coordinate_change(fb_real t, const fb_real *restrict x, const fb_rea
 }
 
 #ifdef FB_LANES
-#include "lanes/equations.h"
+#include "lanes/lane_equations.h"
 #else
 /* Breakpoints, times at which expressions of time may have a jump or a kink. */
 static void breakpoints(double t, const double *restrict constants, double *restrict breakpoints)

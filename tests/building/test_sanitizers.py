@@ -101,7 +101,8 @@ static double evaluate(const fb_kernel *k, const double *p)
     k->projection_vjp(k->functions, 0.5, x, c, r, gradient, work);
     sum += gradient[0];
     free(weights), free(gradient);
-    fb_dependent dependent = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS};
+    int order[1];
+    fb_dependent dependent = {.n_qd = k->n_q > 1, .n_ud = k->n_u > 1, .n = FB_DIRECTIONS, .order = order};
     double *const memory = doubles((int)fb_place_dependent(k, &dependent, NULL));
     fb_place_dependent(k, &dependent, memory);
     sum += fb_implicit_derivatives(k, 0.5, x, c, r, &dependent) + dependent.corrections[0] + dependent.directions[0];

@@ -9,7 +9,7 @@ from harness.shims import Shims
 
 import fourbar_codegen as fb
 
-# -O1, since with -O2 gcc takes the constants of lanes/equations.h for uninitialized: it cannot tell that the
+# -O1, since with -O2 gcc takes the constants of lanes/lane_equations.h for uninitialized: it cannot tell that the
 # first batch fills them.
 COMMAND = ("-std=gnu11", "-O1", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 

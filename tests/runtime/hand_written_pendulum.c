@@ -127,7 +127,7 @@ static void coordinate_change(fb_real t, const fb_real *restrict q, const fb_rea
 }
 
 #ifdef FB_LANES
-#include "lanes/equations.h"
+#include "lanes/lane_equations.h"
 #else
 static void breakpoints(double t, const double *restrict constants, double *restrict times)
 {

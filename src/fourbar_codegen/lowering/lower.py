@@ -58,7 +58,7 @@ VECTORIZED = {
     Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
     Role.COORDINATE_CHANGE, Role.STATE_RATES,
 }  # fmt: skip
-"""The functions that are also evaluated for batches of states, in the lanes of vectors; see lanes/equations.h."""
+"""The functions that are also evaluated for batches of states, in the lanes of vectors; see lanes/lane_equations.h."""
 
 N_EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""

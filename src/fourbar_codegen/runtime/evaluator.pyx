@@ -25,6 +25,7 @@ cdef extern from "derivatives/dependent_variables.h":
         double *corrections
         double *left
         double pivot
+        int *order
     size_t fb_place_dependent(const fb_kernel *, fb_dependent *, double *) noexcept nogil
     int fb_implicit_derivatives(const fb_kernel *, double, const double *, const double *, const double *,
                                 fb_dependent *) noexcept nogil
@@ -1141,6 +1142,8 @@ def dependent_changes(Evaluator evaluator not None, t, x, directions, int n_qd, 
     f.n_qd, f.n_ud, f.n = n_qd, n_ud, cnp.PyArray_DIM(given, 1)
     memory = new_array(fb_place_dependent(evaluator.kernel, &f, NULL))
     fb_place_dependent(evaluator.kernel, &f, data(memory))
+    cdef cnp.ndarray order = np.zeros(n_d + 1, dtype=np.intc)
+    f.order = <int *>cnp.PyArray_DATA(order)
     for i in range(rows):
         memcpy(f.directions + i * (n_d + f.n) + n_d, data(given) + i * f.n, f.n * sizeof(double))
     found = fb_implicit_derivatives(

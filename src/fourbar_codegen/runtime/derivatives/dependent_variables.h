@@ -34,7 +34,7 @@ typedef struct fb_dependent {
     double *matrix;   /* (n_c + n_i, n_d) */
     double *sides;    /* (n_c + n_i, n + 1) */
     double *solution; /* (n_d, n + 1) */
-    double *order;    /* n_d integers */
+    int *order;       /* (max(n_qd, n_ud),), of who calls */
 } fb_dependent;
 
 /* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
@@ -53,7 +53,6 @@ static inline size_t fb_place_dependent(const fb_kernel *k, fb_dependent *f, dou
         {&f->matrix, n_p * n_d},
         {&f->sides, n_p * (f->n + 1)},
         {&f->solution, n_d * (f->n + 1)},
-        {&f->order, n_d},
     };
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
@@ -87,7 +86,7 @@ static inline int fb_solve_dependent(fb_dependent *f, const int first, const int
     }
     for (int i = 0; i < n_rows * n_d && largest > 0.0; ++i)
         f->matrix[i] /= largest;
-    const int rank = fb_eliminate_rows(n_rows, n_d, n, f->matrix, f->sides, (int *)f->order, f->solution, &last);
+    const int rank = fb_eliminate_rows(n_rows, n_d, n, f->matrix, f->sides, f->order, f->solution, &last);
     f->pivot = last < f->pivot ? last : f->pivot;
     for (int i = 0; i < n_d * n; ++i)
         f->solution[i] /= largest;

@@ -3,6 +3,9 @@
  * failed projection, NaN) is marked and leaves its lane, to be run alone.
  */
 
+#include "../run/step_collapse.h"
+#include "../steppers/runge_kutta.h"
+
 /* By which changes of the sign of det J_d are found: J at the beginning of the step; the signed pivot of its columns in
  * the static pivot order, see `fb_signed_pivot`, NaN if unknown; the largest one of the run; and the units. */
 typedef struct fb_lane_signs {
@@ -85,9 +88,9 @@ static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights
     fb_combine_rows_lanes(c->stages[0], N_X, w, factor, base, result);
 }
 
-/* The square of the error estimate in units of the tolerances, times the number of states; see `fb_error_norm`. */
-static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
-                                     const fb_real *restrict x_new)
+/* The error estimates in units of the tolerances. */
+static inline void fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
+                                  const fb_real *restrict x_new, double *restrict errors)
 {
     const int two = e->method->n_errors == 2;
     fb_real error[N_X], error3[N_X], sums[2];
@@ -95,11 +98,8 @@ static inline fb_real fb_lanes_error(const fb_lanes *restrict c, const fb_ensemb
     if (two)
         fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error3);
     fb_error_sums_lanes(N_X, e->rtol, e->atol, c->x, x_new, error, two ? error3 : NULL, sums);
-    if (!two)
-        return sums[0];
-    /* h^2 sum^2 / (sum + 0.01 sum3), and 0 for nothing at all */
-    const fb_real squared = h * h * sums[0] * sums[0] / (sums[0] + 0.01 * sums[1]);
-    return fb_select((sums[0] == 0.0) & (sums[1] == 0.0), fb_number(0.0), squared);
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        errors[lane] = fb_error_norm(N_X, e->method->n_errors, h[lane], sums[0][lane], sums[1][lane]);
 }
 
 #define FB_VALUE fb_real
@@ -365,30 +365,23 @@ static void fb_lanes_propose(fb_lanes *restrict c, const fb_ensemble *e, double 
             fb_leave(c, e, lane, FB_MEMBER_LEFT);
             continue;
         }
-        t_new[lane] = t + c->h_abs[lane] * direction;
-        const double bound = c->bound[lane];
-        if (direction * (t_new[lane] - bound) > 0.0) {
-            t_new[lane] = bound;
-            proposed[lane] = c->rejected[lane] ? 0.0 : c->h_abs[lane];
-        }
-        c->h_abs[lane] = fabs(t_new[lane] - t);
+        t_new[lane] =
+            fb_step_end(t, &c->h_abs[lane], direction, c->bound[lane], 0.0, c->rejected[lane], &proposed[lane]);
     }
 }
 
 /* The lengths of the next steps, by the errors of these, of which some were taken; returns the lanes that have passed a
  * breakpoint. */
-static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const fb_real error, const fb_mask taken,
+static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const double *errors, const fb_mask taken,
                                 const double *t_new, const double *proposed)
 {
-    const double order = e->method->order;
     fb_mask passed = taken & 0;
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
         if (!c->active[lane])
             continue;
         /* If a step could not be taken although its error allowed it, the error is unknown. */
-        const double squared = error[lane] < (double)N_X && !taken[lane] ? NAN : error[lane] / N_X;
-        const double factor = squared == 0.0 ? FB_MAX_FACTOR : FB_SAFETY * pow(squared, -0.5 / (order + 1.0));
-        c->h_abs[lane] *= fb_change(factor, taken[lane] != 0, c->rejected[lane]);
+        const double error = errors[lane] < 1.0 && !taken[lane] ? NAN : errors[lane];
+        c->h_abs[lane] *= fb_change(fb_step_factor(e->method->order, error), taken[lane] != 0, c->rejected[lane]);
         c->rejected[lane] = !taken[lane];
         if (taken[lane]) {
             c->n_steps[lane] += 1;
@@ -409,7 +402,7 @@ static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, cons
 static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
 {
     const fb_tableau *const m = e->method;
-    double t_new[FB_WIDTH], proposed[FB_WIDTH];
+    double t_new[FB_WIDTH], proposed[FB_WIDTH], errors[FB_WIDTH];
     fb_real t_end, x_new[N_X], *const end = c->stages[m->n_stages];
     fb_lanes_propose(c, e, t_new, proposed);
     memcpy(&t_end, t_new, sizeof t_end);
@@ -421,8 +414,10 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     }
     if (!e->project || c->begin.weights.error[0].stage[c->begin.weights.error[0].n - 1] == m->n_stages)
         fb_lanes_rates(c, e, t_end, x_new, c->active, end);
-    const fb_real error = fb_lanes_error(c, e, h, x_new);
-    fb_mask taken = c->active & (error < (double)N_X);
+    fb_lanes_error(c, e, h, x_new, errors);
+    fb_mask taken = c->active;
+    for (int lane = 0; lane < FB_WIDTH; ++lane)
+        taken[lane] &= errors[lane] < 1.0 ? -1 : 0;
     if (e->project && fb_any(taken)) {
         taken = fb_lanes_project(c, e, t_end, x_new, taken, 1);
         fb_lanes_rates(c, e, t_end, x_new, taken, end);
@@ -442,7 +437,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
     }
     c->t = fb_select(taken, t_end, c->t);
-    const fb_mask passed = fb_lanes_control(c, e, error, taken, t_new, proposed);
+    const fb_mask passed = fb_lanes_control(c, e, errors, taken, t_new, proposed);
     if (fb_any(passed)) { /* see fb_resume */
         fb_real rates[N_X];
         fb_lanes_rates(c, e, c->t, c->x, passed, rates);

@@ -18,7 +18,7 @@ typedef struct fb_lane_factors {
 #define FB_REQUIRE(s, condition, status) (s)->good &= (condition)
 #define FB_NORMAL_STRIDE FB_AT_LEAST_1(N_C)
 #define FB_RESPONSE(s, j, i) (s)->response[(j) * N_C + (i)]
-#include "lu.inc"
+#include "dense_lu.inc"
 #include "normal_equations.inc"
 
 static FB_INLINE void fb_factor_lanes(const fb_real *restrict constants, const fb_real *restrict mass,

@@ -2,10 +2,10 @@
 #ifndef FOURBAR_DRIVER_H
 #define FOURBAR_DRIVER_H
 
+#include "accepted_step.h"
 #include "events.h"
 #include "segments.h"
-#include "singular_positions.h"
-#include "step.h"
+#include "singular_stop.h"
 #include "step_collapse.h"
 
 /* Looks at the last step: FB_RUN_PAUSED if there is nothing to examine. */

@@ -25,6 +25,20 @@ static inline double fb_first_length(const double h_abs, const double max_step, 
     return h_abs > max_step ? max_step : h_abs < min_step ? min_step : h_abs;
 }
 
+/* ... the end of a step of that length, which is shortened to end at t_bound; a length that was not rejected before is
+ * proposed for the step after that one. `margin`: a step that would end so near to it ends there. */
+static inline double fb_step_end(const double t, double *h_abs, const double direction, const double t_bound,
+                                 const double margin, const int rejected, double *proposed)
+{
+    double t_new = t + *h_abs * direction;
+    if (direction * (t_new - t_bound) > -margin) {
+        t_new = t_bound;
+        *proposed = rejected ? 0.0 : *h_abs;
+    }
+    *h_abs = fabs(t_new - t);
+    return t_new;
+}
+
 /* ... and its change, for a factor from the error estimate; NaN means an unknown error. */
 static inline double fb_change(const double factor, const int taken, const int rejected)
 {

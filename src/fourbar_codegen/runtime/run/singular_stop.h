@@ -1,6 +1,6 @@
 /* Singular positions within a step. */
-#ifndef FOURBAR_RUN_SINGULAR_POSITIONS_H
-#define FOURBAR_RUN_SINGULAR_POSITIONS_H
+#ifndef FOURBAR_SINGULAR_STOP_H
+#define FOURBAR_SINGULAR_STOP_H
 
 #include "run.h"
 

@@ -5,7 +5,6 @@
  */
 #include "../arithmetic/array.h"
 #include "../fourbar_kernel.h"
-#include "../run/driver.h"
 #include "batch.h"
 #ifndef FB_SPARSE
 #include "../linear_algebra/signed_pivot.h"

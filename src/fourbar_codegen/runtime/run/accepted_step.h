@@ -1,6 +1,6 @@
 /* One accepted step of a run: attempts, projection onto the constraints, step control, derivatives. */
-#ifndef FOURBAR_STEP_H
-#define FOURBAR_STEP_H
+#ifndef FOURBAR_ACCEPTED_STEP_H
+#define FOURBAR_ACCEPTED_STEP_H
 
 #include "../steppers/runge_kutta.h"
 #include "run.h"
@@ -59,12 +59,8 @@ static inline int fb_step(fb_run *r)
         /* Also if it is NaN. */
         if (!(h_abs >= min_step))
             return FB_RUN_TOO_SMALL;
-        double t_new = s->t + h_abs * r->direction, error = NAN;
-        if (r->direction * (t_new - r->t_bound) > -margin) {
-            t_new = r->t_bound;
-            proposed = rejected ? 0.0 : h_abs;
-        }
-        h_abs = fabs(t_new - s->t);
+        const double t_new = fb_step_end(s->t, &h_abs, r->direction, r->t_bound, margin, rejected, &proposed);
+        double error = NAN;
         if (!isfinite(h_abs))
             return FB_RUN_INFINITE;
         int status = method->attempt(s, t_new, &error);

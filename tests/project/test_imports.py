@@ -136,6 +136,21 @@ def test_cython_files_of_the_runtime_import_errors_enumerations_and_types_alone(
         assert set(imported) <= allowed, path.name
 
 
+HEADERS = ("arithmetic", "linear_algebra", "kernel", "steppers", "run", "derivatives", "lanes", "export")
+"""The folders of the runtime's headers, each of which includes those before it, besides the interface itself."""
+
+
+def test_headers_include_lower_folders_only():
+    found = [path for suffix in ("h", "inc") for path in PACKAGE.glob(f"runtime/*/*.{suffix}")]
+    assert {path.parent.name for path in found} == set(HEADERS)
+    for path in found:
+        for name in re.findall(r'^ *# *include "([^"]+)"', path.read_text(), flags=re.MULTILINE):
+            included = (path.parent / name).resolve()
+            assert included.exists(), f"{path.name} includes {name}"
+            folder = included.parent.name
+            assert folder == "runtime" or HEADERS.index(folder) <= HEADERS.index(path.parent.name), path.name
+
+
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_of_each_half_import_its_libraries_only(name):
     modules = {module.split(".")[0] for module, _ in imports(FILES[name])}

@@ -83,5 +83,6 @@ static void fill_vectors(double t, const double *x, const double *constants, con
 {_vectors()}}}
 
 #define FB_MODEL fb_page
+#define FB_WITHOUT_HEADER
 #include "export/page.h"
 """

@@ -17,11 +17,11 @@
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
 
 /* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
- * number of their breakpoints, and next_change, the next of these times between two others, or the second one. */
+ * number of their breakpoints, and FB_NEXT_CHANGE, the next of these times between two others, or the second one. */
 #ifndef FB_CHANGES
 #define FB_CHANGES 0
 #define FB_CALLED_INPUTS NULL
-#define next_change(begin, end) (end)
+#define FB_NEXT_CHANGE(begin, end) (end)
 #endif
 
 /* The most steps of a run. */
@@ -122,7 +122,7 @@ static fb_problem *problem_now(struct FB_MODEL *model, double *t)
 }
 
 /* By which runs find singular positions. */
-static double least_pivot(fb_stepper *stepper, const double t, const double *x)
+static double pivot_of_run(fb_stepper *stepper, const double t, const double *x)
 {
     const fb_problem *const problem = stepper->problem;
     return N_RANK == 0
@@ -147,7 +147,7 @@ static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
     stepper->t = run->pace.t_begin = model->t;
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
-    run->watch.singular.least_pivot = least_pivot;
+    run->watch.singular.least_pivot = pivot_of_run;
     return run;
 }
 
@@ -316,7 +316,7 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     for (int i = 0; i < N_BREAKPOINTS; ++i)
         if (times[i] > fb_min(begin, next) && times[i] < fb_max(begin, next))
             next = times[i];
-    return next_change(begin, next);
+    return FB_NEXT_CHANGE(begin, next);
 }
 
 /* The segment from one time towards another: inputs are those between two discontinuities. */

@@ -2,15 +2,15 @@
  * JavaScript writes into memory, and runs of it at given times.
  *
  * Included once, after kernel/kernel.h and the model's derivatives, in place of export/library.h, by a source that
- * defines what that needs, `velocity_rows` (N_VELOCITY_ROWS), and `fill_vectors` (N_VECTORS). JavaScript provides the
- * memory of times, states and rows, behind `__heap_base`.
+ * defines what that needs, also FB_WITHOUT_HEADER, `velocity_rows` (N_VELOCITY_ROWS), and `fill_vectors` (N_VECTORS).
+ * JavaScript provides the memory of times, states and rows, behind `__heap_base`.
  */
 #ifndef FOURBAR_PAGE_H
 #define FOURBAR_PAGE_H
 
-#define FB_WITHOUT_HEADER
 #define FB_CALLED_INPUTS signal_inputs
 #define FB_CHANGES most_changes()
+#define FB_NEXT_CHANGE next_change
 #define FB_MAX_RUN_STEPS 50000 /* many for each frame; sliders should not wait for more */
 #define FB_EXPORT(name) __attribute__((export_name(#name))) name
 
@@ -34,7 +34,7 @@ typedef struct fb_signal {
 } fb_signal;
 
 static fb_signal signals[FB_AT_LEAST_1(N_R)];
-static const double *tables;
+static const double *held_tables;
 
 /* The value of the last time that is not later; before all of them the first one. */
 static double held_value(const double *times, const int n, const double t)
@@ -63,7 +63,7 @@ static double signal_value(const fb_signal *s, const double t)
     case FB_RAMP:
         return t <= s->c ? s->a : t >= s->d ? s->b : s->a + (s->b - s->a) * ((t - s->c) / (s->d - s->c));
     case FB_HOLD:
-        return held_value(tables + (int)s->b, (int)s->a, t);
+        return held_value(held_tables + (int)s->b, (int)s->a, t);
     case FB_LINE:
         return s->order == 0.0 ? s->a + s->b * t : s->order == 1.0 ? s->b : 0.0;
     default:
@@ -98,7 +98,7 @@ static double next_change(const double begin, const double end)
     for (int i = 0; i < N_R; ++i) {
         const fb_signal *const s = signals + i;
         for (int k = 0; k < changes_of(s); ++k) {
-            const double time = s->kind == FB_HOLD ? tables[(int)s->b + k] : k == 0 ? s->c : s->d;
+            const double time = s->kind == FB_HOLD ? held_tables[(int)s->b + k] : k == 0 ? s->c : s->d;
             if (time > fb_min(begin, next) && time < fb_max(begin, next))
                 next = time;
         }
@@ -138,7 +138,7 @@ fb_signal *FB_EXPORT(inputs)(void)
 /* Where JavaScript puts the times and values of inputs that are held. */
 void FB_EXPORT(set_tables)(const double *given)
 {
-    tables = given;
+    held_tables = given;
 }
 
 /* The numbers of a row of `observe`. */

@@ -12,6 +12,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from builders.beads import bead_and_wheel, length, vx, vy, x, y
 from builders.exported import MODELS
+from builders.oscillators import on_a_line
 from builders.state_equations import motor
 from builders.systems import (
     pendulum,
@@ -295,6 +296,26 @@ def test_c_library_steps_across_a_jump_in_time_are_exact(exported, h):
         assert library.call("step", mechanism, h, 8) == 0
     angle = 3 * (mechanism.t - 0.35)
     np.testing.assert_allclose(mechanism.x[:2], [(1 - np.cos(angle)) / 9, np.sin(angle) / 3], rtol=0, atol=1e-11)
+
+
+def test_c_library_steps_are_exact_where_the_time_of_a_jump_is_rounded(tmp_path):
+    """A unit force on a unit mass from a t = 1 on: v = 1 - 1 / a at t = 1. The time 1 / a is a rounding error away from
+    where a t - 1 changes its sign. Methods of order 4 and 8 are exact for forces that are constant on each side; a
+    stage on the wrong one would change v by its weight, 1e-2 or more, times the length of a part of a step. Rounding
+    errors of 10 steps are 1e-15.
+    """
+    a, t, (x, v) = sm.Symbol("a"), me.dynamicsymbols._t, me.dynamicsymbols("x v")
+    system = on_a_line(sm.Integer(1), sm.Heaviside(a * t - 1))
+    model = fb.Model(system, name="pushed", parameters={a: 3.7}, initial={x: 0.0, v: 0.0})
+    library = Library(model, tmp_path / "pushed")
+    for value in (3.7, 49.0, 7.3, 1.7, 23.9):
+        for order in (4, 8):
+            mechanism = library.new()
+            mechanism.p[0] = value
+            assert library.call("update", mechanism) == 0
+            for _ in range(10):
+                assert library.call("step", mechanism, 0.1, order) == 0
+            assert mechanism.x[1] == pytest.approx(1 - 1 / value, abs=1e-14)
 
 
 def test_c_library_control_loop_equals_a_held_table_in_python(exported):

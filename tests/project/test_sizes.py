@@ -1,6 +1,7 @@
 """Functions and data are small enough to be read at once."""
 
 import ast
+import re
 from pathlib import Path
 
 import fourbar_codegen as fb
@@ -10,6 +11,8 @@ LONG = {"models.whipple_bicycle.whipple_bicycle"}
 """It is a page of a paper."""
 MANY = {"simulation.batch.residual"}
 """With more than six arguments by position."""
+WIDE = {"fb_kernel"}
+"""It is an interface: typed functions for the innermost loops, and the sizes that they need."""
 
 
 def definitions(kind):
@@ -47,3 +50,24 @@ def test_functions_take_six_arguments_by_position_at_most():
 def test_classes_of_data_have_24_fields_at_most():
     for name, node in definitions(ast.ClassDef):
         assert sum(isinstance(statement, ast.AnnAssign) for statement in node.body) <= 24, name
+
+
+def headers():
+    for path in sorted([*PACKAGE.glob("runtime/**/*.h"), *PACKAGE.glob("runtime/**/*.inc")]):
+        yield path.name, re.sub(r"/\*.*?\*/", "", path.read_text(encoding="utf-8"), flags=re.DOTALL)
+
+
+def test_functions_in_c_have_80_lines_of_code_at_most():
+    for file, text in headers():
+        functions = r"^[\w ][^\n;]*?(\w+)\)?\([^;{}]*\)\n\{\n(.*?)^\}"
+        for name, body in re.findall(functions, text, re.DOTALL | re.MULTILINE):
+            assert sum(bool(line.strip()) for line in body.splitlines()) <= 80, f"{name} of {file}"
+
+
+def test_structures_in_c_have_24_members_at_most():
+    count = {}
+    for _, text in headers():
+        for name, body in re.findall(r"struct (\w+) \{\n(.*?)^\}", text, re.DOTALL | re.MULTILINE):
+            declared = re.sub(r"\([^()]*\)|\{[^{}]*\}", "", re.sub(r"\(\*(\w+)\)\([^;]*\)", r"\1", body))
+            count[name] = sum(statement.count(",") + 1 for statement in declared.split(";")[:-1])
+    assert {name for name, n in count.items() if n > 24} == WIDE, count

@@ -25,6 +25,13 @@
 
 enum FB_FORMULATION { FB_INDEX_1 = 1, FB_INDEX_2 = 2, FB_INDEX_3 = 3 };
 
+/* Unknown forces n at a state, with what they depend on. */
+typedef struct fb_forces_at {
+    double *effect, *effect_jacobian;                       /* F, dF/dn */
+    double *auxiliary_forcing, *auxiliary_forcing_jacobian; /* Q, dQ/dn */
+    double *auxiliary_mass, *auxiliary_constraint_jacobian; /* M_a, J_a^T */
+} fb_forces_at;
+
 typedef struct fb_implicit {
     fb_problem *problem;
     int formulation; /* an FB_FORMULATION */
@@ -34,9 +41,7 @@ typedef struct fb_implicit {
     double *velocities, *velocity_jacobian;                             /* J u + b, its derivative with respect to q */
     double *rate_jacobian, *residual_jacobian;                          /* from FB_STATE_PARTIALS */
     double *state_rates, *wrt_accelerations, *wrt_multipliers;          /* z', dz'/du', dz'/dlambda */
-    double *effect, *effect_jacobian;                                   /* F, dF/dn */
-    double *auxiliary_forcing, *auxiliary_forcing_jacobian;             /* Q, dQ/dn */
-    double *auxiliary_mass, *auxiliary_constraint_jacobian;             /* M_a, J_a^T */
+    fb_forces_at forces;
     double *change, *coordinate_change, *unused;
     double *row;    /* the factor of each equation */
     double *metric; /* the diagonal of D */
@@ -63,12 +68,12 @@ static inline size_t fb_place_implicit(fb_problem *problem, const int formulatio
         {&s->state_rates, z},
         {&s->wrt_accelerations, z * u},
         {&s->wrt_multipliers, z * l},
-        {&s->effect, u},
-        {&s->effect_jacobian, u * n},
-        {&s->auxiliary_forcing, n},
-        {&s->auxiliary_forcing_jacobian, n * n},
-        {&s->auxiliary_mass, n * u},
-        {&s->auxiliary_constraint_jacobian, n * c},
+        {&s->forces.effect, u},
+        {&s->forces.effect_jacobian, u * n},
+        {&s->forces.auxiliary_forcing, n},
+        {&s->forces.auxiliary_forcing_jacobian, n * n},
+        {&s->forces.auxiliary_mass, n * u},
+        {&s->forces.auxiliary_constraint_jacobian, n * c},
         {&s->change, u},
         {&s->coordinate_change, q},
         {&s->unused, (h + c) * k->n_r},
@@ -90,12 +95,12 @@ static inline int fb_implicit_equations(fb_implicit *s, const double t, const do
         return called;
     k->dynamics(t, y, p->constants, p->inputs, s->coordinate_rates, s->mass_matrix, s->forcing, s->jacobian, s->bias);
     const double *const forces[] = {y + k->n_x + k->n_c};
-    double *const of_forces[] = {s->effect,
-                                 s->effect_jacobian,
-                                 s->auxiliary_forcing,
-                                 s->auxiliary_forcing_jacobian,
-                                 s->auxiliary_mass,
-                                 s->auxiliary_constraint_jacobian};
+    double *const of_forces[] = {s->forces.effect,
+                                 s->forces.effect_jacobian,
+                                 s->forces.auxiliary_forcing,
+                                 s->forces.auxiliary_forcing_jacobian,
+                                 s->forces.auxiliary_mass,
+                                 s->forces.auxiliary_constraint_jacobian};
     if (k->n_l > k->n_c)
         fb_problem_results(p, FB_UNKNOWN_FORCES, t, y, NULL, NULL, forces, of_forces);
     if (s->formulation != FB_INDEX_1)
@@ -138,7 +143,7 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
             residual[i] -= s->coordinate_change[i];
     }
     for (int i = 0; i < n_u; ++i) {
-        double sum = -(s->forcing[i] + (n_l > n_c ? s->effect[i] : 0.0));
+        double sum = -(s->forcing[i] + (n_l > n_c ? s->forces.effect[i] : 0.0));
         for (int j = 0; j < n_u; ++j)
             sum += s->mass_matrix[i * n_u + j] * y_rate[n_q + j];
         for (int row = 0; row < n_c; ++row)
@@ -150,11 +155,11 @@ static inline int fb_implicit_form(fb_implicit *s, const double t, const double 
     for (int i = n_x - n_z; i < n_x; ++i)
         residual[i] = y_rate[i] - s->state_rates[i - (n_x - n_z)];
     for (int row = 0; row < n_l - n_c; ++row) {
-        double sum = s->auxiliary_forcing[row];
+        double sum = s->forces.auxiliary_forcing[row];
         for (int j = 0; j < n_u; ++j)
-            sum -= s->auxiliary_mass[row * n_u + j] * y_rate[n_q + j];
+            sum -= s->forces.auxiliary_mass[row * n_u + j] * y_rate[n_q + j];
         for (int j = 0; j < n_c; ++j)
-            sum += s->auxiliary_constraint_jacobian[row * n_c + j] * lambda[j];
+            sum += s->forces.auxiliary_constraint_jacobian[row * n_c + j] * lambda[j];
         residual[n_x + n_c + row] = sum;
     }
     if (s->formulation == FB_INDEX_1) {
@@ -198,7 +203,7 @@ static inline void fb_implicit_add_rates(const fb_implicit *s, const double c, d
             matrix[(n_q + i) * n + n_q + j] += c * s->mass_matrix[i * n_u + j];
     for (int i = 0; i < k->n_l - n_c; ++i)
         for (int j = 0; j < n_u; ++j)
-            matrix[(n_x + n_c + i) * n + n_q + j] -= c * s->auxiliary_mass[i * n_u + j];
+            matrix[(n_x + n_c + i) * n + n_q + j] -= c * s->forces.auxiliary_mass[i * n_u + j];
     for (int i = 0; i < n_z; ++i) {
         double *const row = matrix + (n_x - n_z + i) * n;
         row[n_x - n_z + i] += c;
@@ -234,13 +239,13 @@ static inline int fb_implicit_derivative(fb_implicit *s, const double t, const d
         for (int j = 0; j < n_c; ++j)
             row[n_x + j] = -s->jacobian[j * n_u + i];
         for (int j = 0; j < n_n; ++j)
-            row[n_x + n_c + j] = -s->effect_jacobian[i * n_n + j];
+            row[n_x + n_c + j] = -s->forces.effect_jacobian[i * n_n + j];
     }
     for (int i = 0; i < n_n; ++i) {
         double *const row = matrix + (n_x + n_c + i) * n;
         memcpy(row, s->residual_jacobian + (n_u + n_c + i) * n_x, (size_t)n_x * sizeof *row);
-        memcpy(row + n_x, s->auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
-        memcpy(row + n_x + n_c, s->auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
+        memcpy(row + n_x, s->forces.auxiliary_constraint_jacobian + i * n_c, (size_t)n_c * sizeof *row);
+        memcpy(row + n_x + n_c, s->forces.auxiliary_forcing_jacobian + i * n_n, (size_t)n_n * sizeof *row);
     }
     double *const of_state_rates[] = {s->wrt_accelerations, s->wrt_multipliers};
     if (n_z > 0)

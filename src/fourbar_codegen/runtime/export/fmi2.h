@@ -252,7 +252,7 @@ FMI2_EXPORT fmi2Status fmi2EnterEventMode(fmi2Component instance)
 FMI2_EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventInfo *info)
 {
     fmu *const f = instance;
-    int changed, defined;
+    int changed = 0, defined = 0;
     if (!fmu_may(f, "fmi2NewDiscreteStates", FMU_EVENT) ||
         !fmu_handle_event(f, &changed, &defined, &info->nextEventTime))
         return fmi2Error;
@@ -332,6 +332,25 @@ FMI2_EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component instance,
     for (size_t i = 0; i < n; ++i)
         nominals[i] = 1.0;
     return fmi2OK;
+}
+
+/* Inputs that change linearly in the next step of co-simulation. */
+static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, const int *orders, const double *values)
+{
+    struct FB_MODEL *const m = &f->state.model;
+    for (size_t i = 0; i < n; ++i) {
+        if (references[i] < OF_INPUTS || references[i] >= OF_RESULTS)
+            return fmu_fail(f, "The variable with the value reference %u is no input.", references[i]);
+        if (orders[i] != 1 || !isfinite(values[i]))
+            return fmu_fail(f, "An input has a finite derivative of order 1, not %g of order %d.", values[i],
+                            orders[i]);
+        if (!m->held[references[i] - OF_INPUTS])
+            return fmu_fail(f, "The input with the value reference %u has no value yet.", references[i]);
+        m->slope[references[i] - OF_INPUTS] = values[i];
+    }
+    m->since = m->t;
+    f->state.valid = 0;
+    return 1;
 }
 
 FMI2_EXPORT fmi2Status fmi2SetRealInputDerivatives(fmi2Component instance, const fmi2ValueReference references[],

@@ -423,7 +423,7 @@ FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boole
                                                 fmi3Boolean *has_next, double *next)
 {
     fmu *const f = instance;
-    int changed, defined;
+    int changed = 0, defined = 0;
     if (!fmu_may(f, "fmi3UpdateDiscreteStates", FMU_EVENT) || !fmu_handle_event(f, &changed, &defined, next))
         return fmi3Error;
     *need_update = *terminate = *nominals_changed = false;

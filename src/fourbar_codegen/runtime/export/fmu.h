@@ -278,25 +278,6 @@ static int fmu_set(fmu *f, const unsigned *references, const size_t n, const dou
     return 1;
 }
 
-/* Inputs that change linearly in the next step of co-simulation. */
-static int fmu_set_slopes(fmu *f, const unsigned *references, const size_t n, const int *orders, const double *values)
-{
-    struct FB_MODEL *const m = &f->state.model;
-    for (size_t i = 0; i < n; ++i) {
-        if (references[i] < OF_INPUTS || references[i] >= OF_RESULTS)
-            return fmu_fail(f, "The variable with the value reference %u is no input.", references[i]);
-        if (orders[i] != 1 || !isfinite(values[i]))
-            return fmu_fail(f, "An input has a finite derivative of order 1, not %g of order %d.", values[i],
-                            orders[i]);
-        if (!m->held[references[i] - OF_INPUTS])
-            return fmu_fail(f, "The input with the value reference %u has no value yet.", references[i]);
-        m->slope[references[i] - OF_INPUTS] = values[i];
-    }
-    m->since = m->t;
-    f->state.valid = 0;
-    return 1;
-}
-
 /* The change of a variable along a seed, by central differences. During initialization, loops are closed anew. */
 static int fmu_difference(fmu *f, const unsigned unknown, const unsigned *knowns, const size_t n, const double *seed,
                           double *change)

@@ -319,6 +319,14 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return FB_NEXT_CHANGE(begin, next);
 }
 
+/* Up to so many seconds, two times are equal but for rounding errors, and so are the sides of a condition there: four
+ * spacings of the later one. */
+static double rounding_of(const double begin, const double end)
+{
+    const double latest = isfinite(end) ? fb_max(fabs(begin), fabs(end)) : fabs(begin);
+    return 4.0 * (nextafter(latest, INFINITY) - latest);
+}
+
 /* The segment from one time towards another: inputs are those between two discontinuities. */
 static fb_segment segment_from(void *of, const double begin, const double end)
 {
@@ -327,7 +335,8 @@ static fb_segment segment_from(void *of, const double begin, const double end)
     if (N_BREAKPOINTS + FB_CHANGES == 0)
         return (fb_segment){begin, end, -towards, towards};
     const double until = next_breakpoint(problem, begin, end);
-    return (fb_segment){begin, until, nextafter(begin, until), nextafter(until, begin)};
+    const double rounding = copysign(rounding_of(begin, until), towards);
+    return (fb_segment){begin, until, begin + rounding, until - rounding};
 }
 
 int FB_PUBLIC(jumps)(struct FB_MODEL *model)
@@ -350,8 +359,9 @@ double FB_PUBLIC(next_breakpoint)(struct FB_MODEL *model)
 void FB_PUBLIC(between)(struct FB_MODEL *model, const double begin, const double end)
 {
     fb_clock *const clock = &own_of(model)->clock;
-    clock->first = N_BREAKPOINTS > 0 ? nextafter(begin, INFINITY) : -INFINITY;
-    clock->last = N_BREAKPOINTS > 0 ? nextafter(end, -INFINITY) : INFINITY;
+    const double rounding = rounding_of(begin, end);
+    clock->first = N_BREAKPOINTS > 0 ? begin + rounding : -INFINITY;
+    clock->last = N_BREAKPOINTS > 0 ? end - rounding : INFINITY;
 }
 
 /* The ends of that interval as they are kept, for those who store a mechanism. */

@@ -73,6 +73,19 @@ static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const
     c->n_evaluations -= asked;
 }
 
+/* Lanes that ask for x'. */
+typedef struct fb_asked {
+    fb_lanes *c;
+    const fb_ensemble *e;
+    fb_mask lanes;
+} fb_asked;
+
+static inline int fb_lanes_evaluate(const fb_asked *asked, const int row, const fb_real since, const fb_real *x)
+{
+    fb_lanes_rates(asked->c, asked->e, since, x, asked->lanes, asked->c->stages[row]);
+    return 0;
+}
+
 #define FB_VALUE fb_real
 #define FB_OF(name) name##_lanes
 #define FB_MAGNITUDE(value) fb_abs(value)
@@ -80,24 +93,17 @@ static __attribute__((noinline)) void fb_lanes_rates(fb_lanes *restrict c, const
 #define FB_UNIT(value) (1.0 / (value)) /* divisions take long in lanes */
 #define FB_IN_UNITS(value, unit) ((value) * (unit))
 #define FB_AT_ONCE 1
+#define FB_CALLER const fb_asked
+#define FB_EVALUATE(caller, row, t, x) fb_lanes_evaluate(caller, row, t, x)
 #include "../steppers/stages.inc"
-
-static inline void fb_lanes_combine(const fb_lanes *restrict c, const fb_weights *w, const fb_real factor,
-                                    const fb_real *base, fb_real *restrict result)
-{
-    fb_combine_rows_lanes(c->stages[0], N_X, w, factor, base, result);
-}
 
 /* The error estimates in units of the tolerances. */
 static inline void fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
                                   const fb_real *restrict x_new, double *restrict errors)
 {
-    const int two = e->method->n_errors == 2;
-    fb_real error[N_X], error3[N_X], sums[2];
-    fb_lanes_combine(c, c->begin.weights.error, two ? fb_number(1.0) : h, NULL, error);
-    if (two)
-        fb_lanes_combine(c, c->begin.weights.error + 1, fb_number(1.0), NULL, error3);
-    fb_error_sums_lanes(N_X, e->rtol, e->atol, c->x, x_new, error, two ? error3 : NULL, sums);
+    fb_real scratch[2 * N_X], sums[2];
+    fb_estimate_error_lanes(e->method, &c->begin.weights, N_X, c->stages[0], h, N_X, e->rtol, e->atol, c->x, x_new,
+                            scratch, sums);
     for (int lane = 0; lane < FB_WIDTH; ++lane)
         errors[lane] = fb_error_norm(N_X, e->method->n_errors, h[lane], sums[0][lane], sums[1][lane]);
 }
@@ -290,27 +296,6 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
     return changed;
 }
 
-/* The coefficients of the interpolants from the states x to x_new. */
-static inline void fb_lanes_interpolant(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h,
-                                        const fb_real *x_new, const fb_mask within)
-{
-    const fb_tableau *const m = e->method;
-    const fb_stepper *const b = &c->begin;
-    fb_real scratch[N_X];
-    if (!m->hermite) {
-        for (int i = 0; i < m->n_dense; ++i)
-            fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[i]);
-        return;
-    }
-    for (int i = 0; i < m->n_extra; ++i) {
-        fb_lanes_combine(c, b->weights.extra + i, h, c->x, scratch);
-        fb_lanes_rates(c, e, c->t + m->c_extra[i] * h, scratch, within, c->stages[m->n_stages + 1 + i]);
-    }
-    fb_hermite_rows_lanes(N_X, h, c->x, x_new, c->stages[0], c->stages[m->n_stages], c->interpolant[0]);
-    for (int i = 0; i < m->n_dense; ++i)
-        fb_lanes_combine(c, b->weights.dense + i, h, NULL, c->interpolant[3 + i]);
-}
-
 /* The samples within the steps from t to t_new that were accepted in the requested lanes. */
 static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
                                    const fb_real *x_new, const fb_mask asked)
@@ -332,8 +317,12 @@ static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, c
             }
         if (!fb_any(within))
             return;
-        if (!prepared)
-            fb_lanes_interpolant(c, e, h, x_new, within);
+        if (!prepared) {
+            const fb_asked asking = {c, e, within};
+            fb_real scratch[N_X];
+            fb_form_interpolant_lanes(&asking, e->method, &c->begin.weights, N_X, c->stages[0], c->t, h, c->x, x_new,
+                                      scratch, c->interpolant[0]);
+        }
         prepared = 1; /* also for later rounds, which have fewer lanes */
         fb_interpolate_lanes(e->method, c->interpolant[0], N_X, N_X, c->x, (t - c->t) / h, x);
         if (e->project)
@@ -407,11 +396,8 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     fb_lanes_propose(c, e, t_new, proposed);
     memcpy(&t_end, t_new, sizeof t_end);
     const fb_real h = t_end - c->t;
-    for (int k = 1; k <= m->n_stages; ++k) {
-        fb_lanes_combine(c, c->begin.weights.stage + k, h, c->x, x_new);
-        if (k < m->n_stages)
-            fb_lanes_rates(c, e, c->t + m->c[k] * h, x_new, c->active, c->stages[k]);
-    }
+    const fb_asked asking = {c, e, c->active};
+    fb_take_stages_lanes(&asking, m, &c->begin.weights, N_X, c->stages[0], c->t, h, c->x, x_new);
     if (!e->project || c->begin.weights.error[0].stage[c->begin.weights.error[0].n - 1] == m->n_stages)
         fb_lanes_rates(c, e, t_end, x_new, c->active, end);
     fb_lanes_error(c, e, h, x_new, errors);

@@ -41,35 +41,18 @@ static inline int fb_runge_kutta_init(fb_stepper *s, const double direction, con
     return 0;
 }
 
-/* The stages of a step of length h, and x at its end in `x_new`. The projection there needs the workspace of the last
- * stage, which is not kept. */
+/* The stages of a step of length h, and x at its end in `x_new`. */
 static inline int fb_stages(fb_stepper *s, const double h)
 {
-    const fb_tableau *const m = s->tableau;
-    for (int k = 1; k <= m->n_stages; ++k) {
-        fb_combine(s, s->weights.stage + k, h, s->x, s->x_new);
-        if (k < m->n_stages) {
-            const double t = s->t + m->c[k] * h;
-            const int is_last = k == m->n_stages - 1;
-            const int status =
-                is_last ? fb_evaluate(s, t, s->x_new, s->stages + k * s->padded) : fb_evaluate_row(s, k, t, s->x_new);
-            if (status < 0)
-                return status;
-        }
-    }
-    return 0;
+    return fb_take_stages(s, s->tableau, &s->weights, s->padded, s->stages, s->t, h, s->x, s->x_new);
 }
 
 /* The root mean square of the error estimate in units of the tolerances. */
 static inline double fb_error_of(const fb_stepper *s, const double h)
 {
-    const int two = s->tableau->n_errors == 2;
-    double *const restrict error = s->interpolant, *const restrict error3 = s->interpolant + s->padded;
-    fb_combine(s, s->weights.error, two ? 1.0 : h, NULL, error);
-    if (two)
-        fb_combine(s, s->weights.error + 1, 1.0, NULL, error3);
     double sums[2];
-    fb_error_sums(s->n, s->rtol, s->atol, s->x, s->x_new, error, two ? error3 : NULL, sums);
+    fb_estimate_error(s->tableau, &s->weights, s->padded, s->stages, h, s->n, s->rtol, s->atol, s->x, s->x_new,
+                      s->interpolant, sums);
     return fb_error_norm(s->n, s->tableau->n_errors, h, sums[0], sums[1]);
 }
 

@@ -130,27 +130,6 @@ static inline size_t fb_place_stepper(fb_stepper *s, const fb_method *method, co
     return fb_place_all(places, sizeof places / sizeof *places, memory);
 }
 
-#define FB_VALUE double
-#define FB_OF(name) name
-#define FB_MAGNITUDE(value) fabs(value)
-#define FB_LARGER(a, b) ((a) > (b) ? (a) : (b))
-#define FB_UNIT(value) (value)
-#define FB_IN_UNITS(value, unit) ((value) / (unit))
-#define FB_AT_ONCE FB_BLOCK
-#include "stages.inc"
-
-static inline void fb_combine(const fb_stepper *s, const fb_weights *w, const double factor, const double *base,
-                              double *restrict result)
-{
-    fb_combine_rows(s->stages, s->padded, w, factor, base, result);
-}
-
-/* x' at the end of the last attempt. */
-static inline double *fb_end_rates(const fb_stepper *s)
-{
-    return s->stages + s->tableau->n_stages * s->padded;
-}
-
 static inline int fb_evaluate(fb_stepper *s, const double t, const double *x, double *rates)
 {
     s->n_evaluations += 1;
@@ -179,6 +158,36 @@ static inline int fb_evaluate_row(fb_stepper *s, const int row, const double t, 
     const int status = fb_evaluate(s, t, x, rates);
     fb_swap_kept(s->problem, kept);
     return status;
+}
+
+/* The same but for the last stage: a projection at the end of the step needs its workspace. */
+static inline int fb_evaluate_stage(fb_stepper *s, const int row, const double t, const double *x)
+{
+    return row == s->tableau->n_stages - 1 ? fb_evaluate(s, t, x, s->stages + row * s->padded)
+                                           : fb_evaluate_row(s, row, t, x);
+}
+
+#define FB_VALUE double
+#define FB_OF(name) name
+#define FB_MAGNITUDE(value) fabs(value)
+#define FB_LARGER(a, b) ((a) > (b) ? (a) : (b))
+#define FB_UNIT(value) (value)
+#define FB_IN_UNITS(value, unit) ((value) / (unit))
+#define FB_AT_ONCE FB_BLOCK
+#define FB_CALLER fb_stepper
+#define FB_EVALUATE(caller, row, t, x) fb_evaluate_stage(caller, row, t, x)
+#include "stages.inc"
+
+static inline void fb_combine(const fb_stepper *s, const fb_weights *w, const double factor, const double *base,
+                              double *restrict result)
+{
+    fb_combine_rows(s->stages, s->padded, w, factor, base, result);
+}
+
+/* x' at the end of the last attempt. */
+static inline double *fb_end_rates(const fb_stepper *s)
+{
+    return s->stages + s->tableau->n_stages * s->padded;
 }
 
 /* Before a step from the state reached: x' at its beginning, if it is that at the end of the last one. */
@@ -226,23 +235,12 @@ static inline int fb_resume(fb_stepper *s)
 /* The coefficients of the last step's interpolant. */
 static inline int fb_prepare_interpolant(fb_stepper *s)
 {
-    const fb_tableau *const m = s->tableau;
     if (s->interpolant_valid)
         return 0;
-    if (!m->hermite) {
-        for (int i = 0; i < m->n_dense; ++i)
-            fb_combine(s, s->weights.dense + i, s->h, NULL, s->interpolant + i * s->padded);
-    } else {
-        for (int i = 0; i < m->n_extra; ++i) {
-            fb_combine(s, s->weights.extra + i, s->h, s->x_old, s->x_new);
-            const int status = fb_evaluate_row(s, m->n_stages + 1 + i, s->t_old + m->c_extra[i] * s->h, s->x_new);
-            if (status < 0)
-                return status;
-        }
-        fb_hermite_rows(s->padded, s->h, s->x_old, s->x, s->stages, fb_end_rates(s), s->interpolant);
-        for (int i = 0; i < m->n_dense; ++i)
-            fb_combine(s, s->weights.dense + i, s->h, NULL, s->interpolant + (3 + i) * s->padded);
-    }
+    const int status = fb_form_interpolant(s, s->tableau, &s->weights, s->padded, s->stages, s->t_old, s->h, s->x_old,
+                                           s->x, s->x_new, s->interpolant);
+    if (status < 0)
+        return status;
     s->interpolant_valid = 1;
     return 0;
 }

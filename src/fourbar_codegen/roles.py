@@ -110,6 +110,12 @@ class Threshold(float, Enum):
         0.25,
         "A static pivot order is used if pivots are at least this share of their row's largest.",
     )
+    SAME_SPACINGS = (
+        4.0,
+        "Times that differ by so many spacings of the latest of them are equal but for rounding errors.",
+    )
+    JUMP_RTOL = 1e-9, "Changes between times that are equal so are jumps if they are larger than this fraction ..."
+    STEADY_RATIO = 10.0, "... and than so many times the changes on both sides, since large times are widely spaced."
 
 
 class Needs(_Enum):

@@ -8,7 +8,7 @@ from libc.stdint cimport int8_t, int64_t
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_CONSTRAINT_JVP, FB_STATE_PARTIALS, Evaluator, data, fb_batch_functions, fb_kernel, fb_source)
-from fourbar_codegen.runtime.integrator cimport Table, fb_tableau, tableau_of
+from fourbar_codegen.runtime.integrator cimport Table, fb_breaks, fb_tableau, tableau_of
 
 import numpy as np
 
@@ -25,12 +25,6 @@ cdef extern from "lanes/batch.h":
         double *rates
     int fb_batch_one_by_one(const fb_batch *, int64_t, int64_t) noexcept nogil
     const int FB_MEMBER_DONE
-    ctypedef struct fb_breaks:
-        int n
-        const double *times
-        const double *before
-        const double *after
-        double first, last
     ctypedef struct fb_ensemble:
         const fb_kernel *kernel
         int64_t n

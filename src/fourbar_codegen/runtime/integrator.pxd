@@ -5,6 +5,14 @@ cimport numpy as cnp
 
 from fourbar_codegen.runtime.evaluator cimport Evaluator, fb_problem, fb_table
 
+cdef extern from "kernel/breakpoints.h":
+    ctypedef struct fb_breaks:
+        int n
+        const double *times
+        const double *before
+        const double *after
+        double first, last
+
 cdef extern from "steppers/tableaus.h":
     ctypedef struct fb_tableau:
         int n_stages

@@ -54,12 +54,6 @@ cdef extern from "steppers/stepper.h":
 cdef extern from "kernel/breakpoints.h":
     ctypedef struct fb_segment:
         double t, t_bound, first, last
-    ctypedef struct fb_breaks:
-        int n
-        const double *times
-        const double *before
-        const double *after
-        double first, last
     ctypedef struct fb_passed:
         const fb_breaks *breaks
         int n

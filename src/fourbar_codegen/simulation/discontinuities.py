@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
+from fourbar_codegen.roles import Threshold
 from fourbar_codegen.runtime.integrator import Ode, Run, Table
 
 __all__ = [
@@ -29,17 +30,6 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
-
-JUMP = 1e-9
-"""Relative threshold for a jump between neighbouring doubles; smaller changes may be rounding errors."""
-
-STEADY = 10.0
-"""A jump must also exceed this many times the change between neighbouring doubles on either side, because large times
-are widely spaced."""
-
-SAME = 4
-"""Times that differ by at most this many spacings of the latest time of the run, or of themselves if it has no end, are
-equal up to rounding errors, and so are the sides of a condition there."""
 
 
 class Discontinuity(NamedTuple):
@@ -112,7 +102,8 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
     within = sorted((t for t in known if low <= t <= high), reverse=end < begin)
     found: list[Discontinuity] = []
     for t in within:
-        same = SAME * math.ulp(max(abs(begin), abs(end if math.isfinite(end) else t)))
+        # of the latest time of the run, or of itself if that has no end
+        same = Threshold.SAME_SPACINGS * math.ulp(max(abs(begin), abs(end if math.isfinite(end) else t)))
         if found and abs(t - found[-1].until) <= same:
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
@@ -210,7 +201,7 @@ def speeds_after(ode: Ode, at: Boundary, x: Floats) -> Floats | None:
     matrix = np.block([[speed[:, np.newaxis] * mass_matrix * speed, -scaled.T], [scaled, none]])
     wanted = np.concatenate([-speed * momentum, -row * bias])
     change = np.linalg.lstsq(matrix, wanted, rcond=None)[0][: len(speed)]
-    if (np.abs(scaled @ change + row * bias) > JUMP * np.abs(wanted).max()).any():
+    if (np.abs(scaled @ change + row * bias) > Threshold.JUMP_RTOL * np.abs(wanted).max()).any():
         raise SimulationError(
             f"The rates of prescribed motions jump at t = {at.first:.9g}, and no speeds satisfy the velocity "
             "constraints after it: the motions contradict each other."
@@ -250,7 +241,8 @@ def _jumped(value: OfTime, size: Floats | float, before: float, after: float) ->
     """Which entries jump between two neighbouring times, and do not only change continuously."""
     step = after - before
     earlier, at, then, later = (value(t) for t in (before - step, before, after, after + step))
-    jumped: NDArray[np.bool_] = np.abs(then - at) > JUMP * size + STEADY * (np.abs(at - earlier) + np.abs(later - then))
+    around = np.abs(at - earlier) + np.abs(later - then)
+    jumped: NDArray[np.bool_] = np.abs(then - at) > Threshold.JUMP_RTOL * size + Threshold.STEADY_RATIO * around
     return jumped
 
 
@@ -263,7 +255,8 @@ def _sides(value: OfTime, before: float, at: float, after: float) -> NDArray[np.
     earlier, left, here, right, later = (value(t) for t in (before - step, before, at, after, after + step))
     around = np.abs(left - earlier) + np.abs(later - right)
     to_left, to_right = np.abs(here - left), np.abs(here - right)
-    return np.array([to_left <= JUMP * to_right + around, to_right <= JUMP * to_left + around])
+    rtol = Threshold.JUMP_RTOL
+    return np.array([to_left <= rtol * to_right + around, to_right <= rtol * to_left + around])
 
 
 class _Prescribed:

@@ -271,11 +271,18 @@ int FB_PUBLIC(project)(struct FB_MODEL *model)
     return fb_problem_project(problem_of(model), model->t, model->x, 0);
 }
 
+/* Up to so many seconds, two times are equal but for rounding errors, and so are the sides of a condition there. */
+static double rounding_of(const double begin, const double end)
+{
+    const double latest = isfinite(end) ? fb_max(fabs(begin), fabs(end)) : fabs(begin);
+    return FB_SAME_SPACINGS * (nextafter(latest, INFINITY) - latest);
+}
+
 /* Whether a prescribed position or speed jumps at a time: the change between neighbouring times is larger than those on
  * both sides. */
 static int jumps_at(const fb_problem *problem, const double t)
 {
-    const double step = 4.0 * (nextafter(fabs(t), INFINITY) - fabs(t));
+    const double step = rounding_of(t, t);
     double values[4][FB_AT_LEAST_1(N_R)], apart[2][FB_AT_LEAST_1(N_R)];
     for (int k = 0; k < 4; ++k)
         default_inputs(t + step * (k < 2 ? k - 2 : k - 1), problem->constants, values[k]);
@@ -290,7 +297,7 @@ static int jumps_at(const fb_problem *problem, const double t)
         int held = 0;
         for (int k = 0; k < problem->n_sources; ++k)
             held |= problem->sources[k].input == i;
-        if (has_next_rate[i] && !held && !(jump <= 1e-9 * size + 10.0 * around))
+        if (has_next_rate[i] && !held && !(jump <= FB_JUMP_RTOL * size + FB_STEADY_RATIO * around))
             return 1;
     }
     return 0;
@@ -319,14 +326,6 @@ static double next_breakpoint(const fb_problem *problem, const double begin, con
     return FB_NEXT_CHANGE(begin, next);
 }
 
-/* Up to so many seconds, two times are equal but for rounding errors, and so are the sides of a condition there: four
- * spacings of the later one. */
-static double rounding_of(const double begin, const double end)
-{
-    const double latest = isfinite(end) ? fb_max(fabs(begin), fabs(end)) : fabs(begin);
-    return 4.0 * (nextafter(latest, INFINITY) - latest);
-}
-
 /* The segment from one time towards another: inputs are those between two discontinuities. */
 static fb_segment segment_from(void *of, const double begin, const double end)
 {
@@ -342,11 +341,11 @@ static fb_segment segment_from(void *of, const double begin, const double end)
 int FB_PUBLIC(jumps)(struct FB_MODEL *model)
 {
     const fb_problem *const problem = problem_of(model);
-    const double spacing = 4.0 * (nextafter(fabs(model->t), INFINITY) - fabs(model->t));
+    const double rounding = rounding_of(model->t, model->t);
     double times[FB_AT_LEAST_1(N_BREAKPOINTS)];
     breakpoints(0.0, problem->constants, times);
     for (int i = 0; i < N_MOTION_BREAKPOINTS; ++i)
-        if (fabs(times[i] - model->t) <= spacing && jumps_at(problem, times[i]))
+        if (fabs(times[i] - model->t) <= rounding && jumps_at(problem, times[i]))
             return 1;
     return 0;
 }

@@ -31,7 +31,7 @@ static int project(double t, double *x, const double *constants, const double *r
     if (N_C + N_I == 0)
         return FB_OK;
 #ifdef FB_RECURSIVE
-    w->factors.constants = constants;
+    w->factors.constants = constants; /* those of valid factors may have been elsewhere */
 #endif
     w->drift = INFINITY;
     for (int attempt = 0; attempt < MAX_FACTORIZATIONS; ++attempt) {
@@ -111,9 +111,6 @@ static int projection_vjp(const fb_function *functions, double t, const double *
     double *const result[] = {w->gradient};
     if (N_C + N_I == 0)
         return FB_OK;
-#ifdef FB_RECURSIVE
-    w->factors.constants = constants;
-#endif
     dynamics(t, x, constants, r, w->coordinate_rates, w->mass_matrix, w->forcing, w->constraint_jacobian,
              w->acceleration_bias);
     const int status = factor_at(t, x, constants, r, w);

@@ -75,11 +75,7 @@ static inline double fb_least_pivot(const double t, const double *x, const doubl
     (void)h;
     fb_balance(N_C, N_U, jacobian, none, solution);
 #else
-    for (int i = 0; i < N_C; ++i)
-        for (int j = 0; j < N_U; ++j) {
-            const double unit = h->units.row[i] * h->units.column[j];
-            jacobian[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
-        }
+    fb_in_units(jacobian, &h->units, jacobian);
 #endif
     /* Pivots beyond the rank are rounding errors. */
     return fb_eliminate_rows(N_C, N_U, 1, jacobian, none, order, solution, &last) < N_RANK ? 0.0 : last;

@@ -157,7 +157,7 @@ static inline void fb_leave(fb_lanes *c, const fb_ensemble *e, const int lane, c
 {
     const int64_t member = c->member[lane];
     e->n_evaluations[member] = (int64_t)c->n_evaluations[lane];
-    e->status[member] = (char)how;
+    e->status[member] = (int8_t)how;
     __atomic_fetch_add(e->n_ended, 1, __ATOMIC_RELAXED);
     c->active[lane] = 0;
 }

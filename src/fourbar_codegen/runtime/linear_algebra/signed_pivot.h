@@ -37,6 +37,16 @@ static inline double fb_note_units(const double *restrict jacobian, fb_units *re
     return by_columns * by_rows;
 }
 
+/* J with its rows and columns in these units; zeros in those that are zero. */
+static inline void fb_in_units(const double *jacobian, const fb_units *units, double *scaled)
+{
+    for (int i = 0; i < N_C; ++i)
+        for (int j = 0; j < N_U; ++j) {
+            const double unit = units->row[i] * units->column[j];
+            scaled[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
+        }
+}
+
 /* The sign of the determinant of the dependent speeds' columns of J, times their smallest pivot, with columns and rows
  * in their units: it passes through or near 0 at a singular position. */
 static inline double fb_signed_pivot(const double *restrict jacobian, const fb_units *restrict units,
@@ -56,11 +66,7 @@ static inline int fb_is_near_singular(const double *restrict jacobian, const fb_
 {
     double scaled[FB_AT_LEAST_1(N_C * N_U)];
     fb_dense_factors factors;
-    for (int i = 0; i < N_C; ++i)
-        for (int j = 0; j < N_U; ++j) {
-            const double unit = units->row[i] * units->column[j];
-            scaled[i * N_U + j] = unit > 0.0 ? jacobian[i * N_U + j] / unit : 0.0;
-        }
+    fb_in_units(jacobian, units, scaled);
     return fb_dense_eliminate(scaled, &factors) != FB_OK ||
            fabs(fb_signed_pivot(jacobian, units, factors.column)) < FB_NEAR_SINGULAR_RATIO * largest;
 }

@@ -685,9 +685,9 @@ class CompiledModel(Kernel):
         rtol, atol : float, optional
             Relative and absolute tolerance of a step; ALI3P has none.
         events : sequence, or one of its entries, optional
-            Names of outputs, callables of (t, x) as for ``solve_ivp``, with attributes ``terminal`` and ``direction``,
-            or `Event` objects. Each sign change is located on the interpolant. Outputs are evaluated in C; callables
-            are called after each step.
+            Names of scalar quantities, such as states and outputs; callables of (t, x) as for ``solve_ivp``, with
+            attributes ``terminal`` and ``direction``; or `Event` objects. All changes of sign within a step are found.
+            Quantities are evaluated in C; callables are called at nine or more places of each step.
         constraints : {"project", "baumgarte", "none"}, optional
             Constraint stabilization. "project": mass-orthogonal projection of positions and then of speeds after each
             accepted step, and of every returned state. LSODA, CVODE and IDA are multistep methods: of them, only the
@@ -724,7 +724,7 @@ class CompiledModel(Kernel):
             correction of the state, and below `rtol`. Without `x0`, dependent initial values follow from loop closure;
             a given `x0` depends on no parameter and no input, except for what keeps it on the constraints. Where forces
             jump at times that are not known beforehand, as with the state, the change of the time of the jump is left
-            out, with a warning. Times of events of outputs are differentiated: ``trajectory.event_sensitivity``.
+            out, with a warning. Times of events by name are differentiated: ``trajectory.event_sensitivity``.
             Source: H. G. Bock, "Numerical treatment of inverse problems in chemical reaction kinetics", in *Modelling
             of Chemical Reaction Systems* (1981): internal numerical differentiation.
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional

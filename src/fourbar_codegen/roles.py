@@ -21,6 +21,7 @@ __all__ = [
     "Status",
     "StopReason",
     "Threshold",
+    "Watched",
     "enums_text",
 ]
 
@@ -89,6 +90,19 @@ class StopReason(_Enum):
     OPEN = 8, "the constraint violation is too large to be corrected: after a step by Python's solvers, or after a jump"
     SINGULAR = 9, "a singular position is reached, in runs that look for these themselves"
     FAILED = 10, "a method with its own step control has failed, and says why"
+
+
+class Watched(_Enum):
+    """What an event is a change of sign of; the comment says which rows it has."""
+
+    TIME = 0, "t"
+    STATE = 1, "x"
+    INPUT = 2, "r"
+    OUTPUT = 3, "the outputs"
+    MULTIPLIER = 4, "lambda, and unknown forces that drive the motion behind it"
+    ENERGY = 5, "kinetic, potential and total energy"
+    MOMENTUM = 6, "the components of FB_MOMENTA"
+    CALLABLE = 7, "functions of the caller"
 
 
 class Threshold(float, Enum):
@@ -245,6 +259,7 @@ def enums_text() -> str:
         (StopReason, "FB_RUN", "FB_RUN"),
         (Role, "FB_ROLE", "FB"),
         (Needs, "FB_NEEDS", "FB_NEEDS"),
+        (Watched, "FB_WATCHED", "FB_WATCHED"),
     )
     for kind, name, prefix in kinds:
         rows = [f"    {prefix}_{member.name.upper()} = {member.value}, /* {member.comment} */" for member in kind]

@@ -78,6 +78,68 @@ double change(double factor, int taken, int rejected)
     return fb_change(factor, taken, rejected);
 }
 
+/* arithmetic/chebyshev.h, run/roots.h */
+
+void chebyshev_fit(int n, const double *values, double *c)
+{
+    fb_chebyshev_fit(n, values, c);
+}
+
+double chebyshev_point(int n, int j)
+{
+    return fb_chebyshev_point(n, j);
+}
+
+double chebyshev_value(int n, const double *c, double y)
+{
+    return fb_chebyshev_value(n, c, y);
+}
+
+void chebyshev_slope(int n, const double *c, double *slope)
+{
+    fb_chebyshev_slope(n, c, slope);
+}
+
+/* The changes of sign of a series, and where it touches zero. */
+int changes_of_sign(int n, const double *c, double error, double *low, double *high, double *touched)
+{
+    fb_series series = {.n = n, .error = error};
+    memcpy(series.c, c, (size_t)(n + 1) * sizeof *c);
+    fb_walk walk;
+    fb_begin_walk(&walk, 0, 0);
+    fb_walk_to(&walk, -1.0, fb_chebyshev_value(n, c, -1.0), error);
+    fb_walk_along(&walk, &series);
+    fb_walk_to(&walk, 1.0, fb_chebyshev_value(n, c, 1.0), error);
+    for (int i = 0; i < walk.n; ++i) {
+        low[i] = walk.found[i].low;
+        high[i] = walk.found[i].high;
+    }
+    *touched = walk.touched;
+    return walk.n;
+}
+
+typedef double function_of(double y);
+
+typedef struct counted {
+    function_of *function;
+    int n;
+} counted;
+
+static int counted_value(void *of, double y, double *value)
+{
+    counted *const c = of;
+    c->n += 1;
+    *value = c->function(y);
+    return 0;
+}
+
+int solve_bracketed(function_of *function, double a, double b, double *root)
+{
+    counted c = {function, 0};
+    fb_solve_bracketed(counted_value, &c, a, function(a), b, function(b), root);
+    return c.n;
+}
+
 double least_step(double t, double direction)
 {
     return fb_least_step(t, direction);
@@ -86,11 +148,6 @@ double least_step(double t, double direction)
 double first_length(double h_abs, double max_step, double min_step)
 {
     return fb_first_length(h_abs, max_step, min_step);
-}
-
-int is_event(double before, double after, int direction)
-{
-    return fb_is_event(before, after, direction);
 }
 
 /* steppers/tableaus.h: the arrays of a method, by their names in fb_tableau */
@@ -136,8 +193,10 @@ typedef struct run {
     fb_problem problem;
     fb_kernel kernel;
     double memory[(FB_STEPPER_ROWS + 2) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
-    double sample_t[SAMPLES], sample_x[SAMPLES * MOST], outputs[MOST], event_value[MOST], event_old[MOST];
-    int event_output[MOST], event_direction[MOST];
+    double sample_t[SAMPLES], sample_x[SAMPLES * MOST], scratch[MOST + 12];
+    double event_values[(FB_MOST_DEGREE + 1) * MOST], event_ends[MOST], polished[MOST];
+    fb_event events[MOST];
+    fb_found found[FB_MOST_CROSSINGS * MOST];
     rates_of *rates;
 } run;
 
@@ -211,11 +270,12 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     r->samples.x = s->sample_x;
     r->samples.room = SAMPLES;
     r->watch.along = s->memory + length;
-    r->watch.outputs = s->outputs;
-    r->watch.output = s->event_output;
-    r->watch.direction = s->event_direction;
-    r->watch.value = s->event_value;
-    r->watch.old = s->event_old;
+    r->watch.scratch = s->scratch;
+    r->watch.values = s->event_values;
+    r->watch.ends = s->event_ends;
+    r->watch.polished = s->polished;
+    r->watch.events = s->events;
+    r->watch.found = s->found;
     return s;
 }
 
@@ -248,9 +308,8 @@ void sample_at(run *s, const double *times, int n)
 int watch_state(run *s, int i, int direction)
 {
     const int place = s->run.watch.n_events++;
-    s->event_output[place] = i;
-    s->event_direction[place] = direction;
-    return fb_event_values(&s->run, s->run.stepper.t, s->run.stepper.x, s->event_value);
+    s->events[place] = (fb_event){.quantity = FB_WATCHED_OUTPUT, .row = i, .direction = direction, .all_roots = 1};
+    return fb_begin_events(&s->run);
 }
 
 int advance(run *s, int steps)

@@ -294,19 +294,6 @@ def test_a_run_stops_after_steps_with_a_change_of_sign(shims, direction, expecte
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "direction", "expected"),
-    [
-        (-1.0, 1.0, 0, 1), (-1.0, 1.0, 1, 1), (-1.0, 1.0, -1, 0), (1.0, -1.0, 0, 1), (1.0, -1.0, 1, 0),
-        (1.0, -1.0, -1, 1), (0.0, 1.0, 1, 1), (1.0, 0.0, -1, 1), (1.0, 2.0, 0, 0), (-1.0, -2.0, 0, 0), (0.0, 0.0, 0, 1),
-        (np.nan, 1.0, 0, 0),
-    ],
-)  # fmt: skip
-def test_a_change_of_sign_is_an_event_in_its_direction(shims, before, after, direction, expected):
-    """By the rule of solve_ivp, which counts zeros at both ends."""
-    assert shims.is_event(before, after, direction) == expected
-
-
-@pytest.mark.parametrize(
     ("factor", "taken", "rejected", "expected"),
     [
         (3.0, 1, 0, 3.0), (50.0, 1, 0, 10.0), (3.0, 1, 1, 1.0), (0.5, 1, 1, 0.5), (0.5, 0, 0, 0.5), (0.01, 0, 1, 0.2),

@@ -441,7 +441,7 @@ def test_sensitivities_of_events_in_a_closed_loop_equal_differences(four_bar):
     run = compiled.simulate((0.0, 0.5), x0, sensitivities=["l"], dx0={"l": dx0["l"]}, **how)
     wanted = differences(times, compiled.defaults["l"], 1e-3)
     np.testing.assert_allclose(run.event_sensitivity[0]["l"].t[:3], wanted, rtol=1e-6)
-    with pytest.raises(fb.ModelError, match="Events by callables have no derivatives"):
+    with pytest.raises(fb.ModelError, match="have derivatives if these are of states or outputs"):
         four_bar.simulate((0.0, 1.0), events=lambda t, x: x[0], sensitivities=["k"])
 
 
@@ -965,11 +965,9 @@ def test_sensitivities_of_a_chaotic_motion_that_overflow_are_reported():
     assert "Sensitivities are not finite from t = 1000 on" in run.message
 
 
-def test_an_output_that_is_always_zero_has_events_without_derivatives():
+def test_an_output_that_is_always_zero_has_no_events():
     model = fb.compile_model(fb.models.slider_crank())
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
         run = model.simulate((0.0, 0.1), t_eval=[0.1], events=["pin_z"], sensitivities=["r"])
-    assert run.t_events[0].size > 0  # one in each step, by the rule of solve_ivp
-    assert np.isnan(run.event_sensitivity[0]["r"].t).all()
-    assert np.isnan(run.event_sensitivity[0]["r"].y).any()
+    assert run.t_events[0].size == run.event_sensitivity[0]["r"].t.size == 0

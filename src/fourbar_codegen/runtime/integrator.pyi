@@ -112,7 +112,11 @@ class Run:
     @property
     def n_factorizations(self) -> int: ...
     @property
-    def event_values(self) -> tuple[list[float], list[float]]: ...
+    def found(self) -> list[tuple[int, float, bool]]: ...
+    @property
+    def ended_by(self) -> int: ...
+    @property
+    def touched(self) -> list[float]: ...
     def __init__(
         self,
         ode: Ode,
@@ -125,7 +129,7 @@ class Run:
         atol: ArrayLike,
         project: bool,
         times: Floats | None,
-        events: Sequence[tuple[int, int]],
+        events: Sequence[tuple[int, int | Callable[[float, Floats], float], int, int, bool, bool]],
         look_at_all: bool,
     ) -> None: ...
     @property

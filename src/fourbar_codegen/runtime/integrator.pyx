@@ -82,13 +82,26 @@ cdef extern from "run/driver.h":
         int64_t room, n
         int pending
         double until
+    ctypedef struct fb_event:
+        int quantity, row, direction
+        int64_t terminal
+        int at_start, all_roots
+        double touched
+    ctypedef struct fb_found:
+        int event, jumps
+        double fraction
+    ctypedef int fb_called_event(void *, int, double, const double *, double *) noexcept nogil
     ctypedef struct fb_watch:
         int n_events
-        const int *output
-        const int *direction
-        double *value
-        double *old
-        double *outputs
+        fb_event *events
+        fb_found *found
+        double *values
+        double *ends
+        double *polished
+        double *scratch
+        int n_found, ended_by
+        fb_called_event *call
+        void *caller
         double *along
         int look_at_all, toggled
     ctypedef struct fb_observer:
@@ -105,7 +118,8 @@ cdef extern from "run/driver.h":
     int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
     int fb_stop_within(fb_run *, double) noexcept nogil
     void fb_undo(fb_run *) noexcept nogil
-    int fb_event_values(fb_run *, double, const double *, double *) noexcept nogil
+    int FB_ALL_EVENTS, FB_MOST_CROSSINGS, FB_MOST_DEGREE
+    int fb_event_values(fb_run *, double, const double *, int, double *) noexcept nogil
 
 cdef extern from "run/kept_steps.h":
     ctypedef struct fb_kept_steps:
@@ -761,6 +775,19 @@ cdef int _foreign_interpolate(fb_stepper *stepper, double t, double *result) noe
         return -1
 
 
+cdef int _call_event(void *caller, int place, double since, const double *x, double *value) noexcept with gil:
+    cdef Run run = <Run>caller
+    cdef cnp.ndarray state
+    try:
+        state = new_array(run.run.stepper.n)
+        memcpy(data(state), x, run.run.stepper.n * sizeof(double))
+        value[0] = number(run.called_events[place](run._at(since), state), "The value of an event's callable")
+        return 0
+    except BaseException as error:
+        run.ode.error = error
+        return -1
+
+
 cdef fb_method _foreign_method
 _foreign_method.init, _foreign_method.restart = _foreign_init, fb_evaluate
 _foreign_method.interpolate, _foreign_method.advance = _foreign_interpolate, _foreign_advance
@@ -788,8 +815,10 @@ cdef class Run:
         Whether states are projected onto the constraints after each step.
     times : array_like, shape (n,), or None
         Times of the samples; None for a sample after each step.
-    events : sequence of (int, int)
-        Numbers of outputs whose changes of sign are events, and the direction of these: 1, -1, or 0 for both.
+    events : sequence of (int, int or callable, int, int, bool, bool)
+        Of each event the `Watched` quantity; its row, or the callable; the direction of its changes of sign that
+        count: 1, -1, or 0 for both; the number of events that end the run, or 0; whether a zero at the start counts;
+        and whether to find all roots within a step, or only changes between its ends.
     look_at_all : bool
         Whether to stop after each step.
     """
@@ -800,6 +829,7 @@ cdef class Run:
     cdef readonly Ode ode
     cdef object method
     cdef readonly object foreign
+    cdef list called_events
     cdef list kept
     cdef double origin, t_begin, t_bound
     cdef double since_begin
@@ -849,17 +879,52 @@ cdef class Run:
             run.samples.n_times = np.size(times)
         watch.n_events, watch.look_at_all = len(events), look_at_all
         if events:
-            watch.output = <const int *>self._keep(np.array([event[0] for event in events], dtype=np.intc))
-            watch.direction = <const int *>self._keep(np.array([event[1] for event in events], dtype=np.intc))
-            watch.value = <double *>self._keep(np.zeros(watch.n_events))
-            watch.old = <double *>self._keep(np.zeros(watch.n_events))
-            watch.outputs = <double *>self._keep(np.zeros(ode.evaluator.n_u + ode.evaluator.n_l + ode.evaluator.n_o))
+            self._watch(events)
         if method == "ALI3P":
             ode.evaluator.function(FB_STATE_PARTIALS)
             stepper.own = &self.augmented
             matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.samples.n_times if times is not None else 256)
+
+    cdef int _watch(self, events) except -1:
+        cdef fb_watch *watch = &self.run.watch
+        cdef const fb_kernel *kernel = self.ode.evaluator.kernel
+        cdef int n = watch.n_events, i
+        self.called_events = [event[1] if callable(event[1]) else None for event in events]
+        watch.events = <fb_event *>self._keep(np.zeros(n * sizeof(fb_event) // sizeof(double) + 1))
+        watch.found = <fb_found *>self._keep(np.zeros(FB_MOST_CROSSINGS * n * sizeof(fb_found) // sizeof(double) + 1))
+        watch.values = <double *>self._keep(np.zeros((FB_MOST_DEGREE + 3) * n))
+        watch.ends = watch.values + (FB_MOST_DEGREE + 1) * n
+        watch.polished = watch.ends + n
+        watch.scratch = <double *>self._keep(np.zeros(kernel.n_u + kernel.n_l + kernel.n_o + 12))
+        watch.call, watch.caller = _call_event, <void *>self
+        for i, (quantity, row, direction, terminal, at_start, all_roots) in enumerate(events):
+            watch.events[i].quantity, watch.events[i].row = quantity, i if callable(row) else row
+            watch.events[i].direction, watch.events[i].terminal = direction, terminal
+            watch.events[i].at_start, watch.events[i].all_roots = at_start, all_roots
+            watch.events[i].touched = NAN
+        return 0
+
+    @property
+    def found(self):
+        """The events found last, in the order of times: number, fraction of the last step, and whether the function
+        has jumped there."""
+        cdef fb_watch *watch = &self.run.watch
+        cdef int i
+        return [(watch.found[i].event, watch.found[i].fraction, bool(watch.found[i].jumps))
+                for i in range(watch.n_found)]
+
+    @property
+    def ended_by(self):
+        """The number of the event that ends the run, or -1."""
+        return self.run.watch.ended_by
+
+    @property
+    def touched(self):
+        """For each event the last time at which its function was zero without a change of sign, or NaN."""
+        cdef int i
+        return [self.origin + self.run.watch.events[i].touched for i in range(self.run.watch.n_events)]
 
     def differentiate_along(self, directions):
         """Also integrate derivatives along directions of (x, p) and of inputs, before `begin`. Without names they are
@@ -951,8 +1016,6 @@ cdef class Run:
         self.run.samples.pending = 1
         self._start_foreign()
         self.ode.check(fb_begin(&self.run))
-        if self.run.watch.n_events:
-            self.ode.check(fb_event_values(&self.run, self.run.stepper.t, self.run.stepper.x, self.run.watch.value))
 
     def enter(self, double t, double t_bound, double first, double last, x=None):
         """Continue from one boundary to the next, from the present state or from x.
@@ -1059,7 +1122,7 @@ cdef class Run:
         """The event functions at a fraction of the last step, shape (n_events,)."""
         cdef cnp.ndarray x = self.state_within(share)
         cdef cnp.ndarray values = new_array(self.run.watch.n_events)
-        self.ode.check(fb_event_values(&self.run, self._within(share), data(x), data(values)))
+        self.ode.check(fb_event_values(&self.run, self._within(share), data(x), FB_ALL_EVENTS, data(values)))
         return values
 
     def stop_within(self, double share):
@@ -1133,13 +1196,6 @@ cdef class Run:
     def x(self):
         """The state reached, shape (n_x,)."""
         return _state_of(&self.run.stepper)
-
-    @property
-    def event_values(self):
-        """The event functions before and after the last step, two lists."""
-        cdef int i
-        return ([self.run.watch.old[i] for i in range(self.run.watch.n_events)],
-                [self.run.watch.value[i] for i in range(self.run.watch.n_events)])
 
 
 cdef class Steps:

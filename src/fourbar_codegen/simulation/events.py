@@ -1,4 +1,4 @@
-"""Events: their definition, and their detection in each step of a run."""
+"""Events: their definition, and what is kept of those that the driver of a run finds."""
 
 from __future__ import annotations
 
@@ -10,56 +10,82 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import finite_number, is_integer, name_of, number, of_time_and_state
+from fourbar_codegen.arguments import finite_number, is_integer, name_of, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.roles import QUANTITIES, Role, Watched
 from fourbar_codegen.runtime.integrator import Run
 
 SPACING = 0.01
 """Of the values from which the slope of an event function is found, in fractions of the step."""
 
-CONTINUOUS = 1e-9
-"""Of the change over the last step: a smaller one at a discontinuity is a rounding error."""
-
 TOUCHING = 1e-6
 """Of the values next to an event: with a lower slope, a function touches zero, and the time has no derivative."""
 
-MOST_ITERATIONS = 10_000
-"""Of Brent's method, which needs thousands at a triple root."""
+TOUCHED = (
+    " The event function {} is zero at t = {:.9g}, to within rounding errors, with the same sign before and after it, "
+    "which is no event."
+)
 
-__all__ = ["Event", "EventLike", "Watch", "events_of"]
+__all__ = ["Event", "EventLike", "Watch", "events_of", "watched_quantity"]
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Event:
-    """An event: a sign change of a function.
+    """An event: a change of sign of a function of time and state.
+
+    All simple roots within a step are found: the function is known there by a Chebyshev series along the interpolant.
+    The function may be zero at the start, to within rounding errors: an event is a change of sign after it has left
+    zero.
 
     Parameters
     ----------
     function : str or callable
-        The name of an output, evaluated in C; or a function of (t, x).
+        The name of a scalar quantity, evaluated in C: a state, input or output, or another one of
+        `Trajectory.columns` that is not a constraint violation; or a function of (t, x), called at nine or more places
+        of each step.
     terminal : bool or int, optional
         Whether the event ends the run; with a number n, the n-th event does.
     direction : float, optional
         Positive: only changes from negative to positive; negative: only the opposite; 0: both.
+    all_roots : bool, optional
+        Whether to find all roots of a step; otherwise only changes of sign between its ends, by one call a step.
+    at_start : bool, optional
+        Whether a zero at the start is an event, as for ``solve_ivp``, to the last digit.
+
+    References
+    ----------
+    L. N. Trefethen, *Approximation Theory and Approximation Practice*, SIAM 2013, chapters 3, 4 and 18.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 2.0), events=fb.Event("u1", direction=1), rtol=1e-9)
+    >>> run.t_events[0].round(4)
+    array([0.78])
     """
 
     function: str | Callable[[float, Floats], float]
     terminal: bool | int = False
     direction: float = 0.0
+    all_roots: bool = True
+    at_start: bool = False
 
     def __post_init__(self) -> None:
         if callable(self.function):
             of_time_and_state(self.function, "An event")
         elif not isinstance(getattr(self.function, "name", self.function), str):
-            raise ModelError(f"events are callables of (t, x) or names of outputs, not {shown(self.function)}.")
+            raise ModelError(f"events are callables of (t, x) or names of quantities, not {shown(self.function)}.")
         finite_number(self.direction, "an event's direction")
         if not (isinstance(self.terminal, bool | np.bool_) or is_integer(self.terminal)) or self.terminal < 0:
             raise ModelError(
                 f"An event's terminal must be True, False or a number of events, not {shown(self.terminal)}."
             )
+        for name in ("all_roots", "at_start"):
+            if not isinstance(getattr(self, name), bool | np.bool_):
+                raise ModelError(f"An event's {name} must be True or False, not {shown(getattr(self, name))}.")
 
 
 EventLike = Event | str | Callable[[float, Floats], float]
@@ -75,15 +101,39 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
             given: Any = event
             event = Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
         if not callable(event.function):
-            name = name_of(event.function)
-            if name not in model.outputs:
-                known = ", ".join(model.outputs) or "none"
-                raise ModelError(
-                    f"events are callables of (t, x) or names of outputs ({known}), not {shown(event.function)}."
-                )
-            event = replace(event, function=name)
+            event = replace(event, function=name_of(event.function))
+            watched_quantity(model, str(event.function))
         watched.append(event)
     return watched
+
+
+def watched_quantity(model: Kernel, name: str) -> tuple[Watched, int]:
+    """A scalar quantity by its name in `Trajectory.columns`, where names of states, inputs and outputs come first.
+
+    Raises
+    ------
+    ModelError
+        If there is none, or its value is not known.
+    """
+    multipliers = tuple(f"lambda{i}" for i in range(1, model.n_l + 1))
+    momenta = tuple(component for vector in QUANTITIES[Role.MOMENTA] for component in vector.components)
+    tables = {
+        Watched.STATE: model.states,
+        Watched.INPUT: model.inputs,
+        Watched.OUTPUT: model.outputs,
+        Watched.TIME: ("t",),
+        Watched.MULTIPLIER: multipliers,
+        Watched.ENERGY: ("kinetic_energy", "potential_energy", "energy"),
+        Watched.MOMENTUM: momenta,
+    }
+    for quantity, names in tables.items():
+        if name in names:
+            row = tuple(names).index(name)
+            if quantity is Watched.ENERGY and row > 0 and not model.layout.potential_energy.is_known:
+                raise ModelError(f"The potential energy of {model.name} is not known: {name} cannot be an event.")
+            return quantity, row
+    known = ", ".join(dict.fromkeys(each for names in tables.values() for each in names))
+    raise ModelError(f"events are callables of (t, x) or names of quantities ({known}), not {shown(name)}.")
 
 
 class _Slopes(NamedTuple):
@@ -92,139 +142,67 @@ class _Slopes(NamedTuple):
     sensitivity: Floats
     """The derivatives of the state at a held time, shape (n_x, n)."""
     slope: float
-    """Of the event function, over time."""
+    """Of the event function, over time: infinite where it jumps, at a time that depends on nothing."""
     rates: Floats
     """x', shape (n_x,): within the piece of the run that ends there, since it may jump."""
 
 
 class Watch:
-    """Event detection as in ``solve_ivp``: in each step, with Brent's method on the interpolant."""
+    """The events of a run, which the driver finds: their times and states.
+
+    Parameters
+    ----------
+    model : Kernel
+    events : sequence of Event
+    differentiates : bool, optional
+        Whether derivatives of times and states are needed.
+    """
 
     def __init__(self, model: Kernel, events: Sequence[Event], *, differentiates: bool = False) -> None:
         self.events, self.differentiates = events, differentiates
         self.derivatives: list[list[_Slopes]] = [[] for _ in events]
-        self.times: list[Any] = [[] for _ in events]
-        self.states: list[Any] = [[] for _ in events]
-        self.callables = [(i, e.function) for i, e in enumerate(events) if callable(e.function)]
-        self.named = [i for i, e in enumerate(events) if not callable(e.function)]
-        self.outputs = [
-            (model.outputs.index(events[i].function), int(np.sign(events[i].direction))) for i in self.named
+        self.times: list[list[float]] = [[] for _ in events]
+        self.states: list[list[Floats]] = [[] for _ in events]
+        self.rows = [
+            (
+                *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)),
+                int(np.sign(e.direction)),
+                int(e.terminal),
+                e.at_start,
+                e.all_roots,
+            )
+            for e in events
         ]
-        self.values = [0.0] * len(events)
-        self.ended_by = ""
-        """The function of the terminal event that has ended the run: its name."""
-        self.went_on = math.nan
-        """Start of the current piece of the run, after a discontinuity."""
-        self.changes = [0.0] * len(events)
-        """Over the last step of the piece before, of functions that are outputs."""
-        self.at_end: list[_Slopes] = []
-        """At the end of that step, for functions that are outputs."""
-        self.left = math.nan
-        """The time of that end."""
-
-    def begin(self, run: Run) -> None:
-        """Evaluate the functions at the start."""
-        for place, i in enumerate(self.named):
-            self.values[i] = run.event_values[1][place]
-        for i, function in self.callables:
-            self.values[i] = self._call(function, run.t, run.x)
-
-    def _call(self, function: Callable[[float, Floats], float], t: float, x: Floats) -> float:
-        return number(function(t, x), "The value of an event's callable")
+        """The events as `Run` takes them."""
 
     def look(self, run: Run) -> float | None:
-        """Store the events of the last step; returns the fraction of the step at which a terminal event occurs."""
-        before = self._move_on(run)
-        for share, i in sorted((self._root(run, i, before[i]), i) for i in self._changed(before)):
-            if share == 0.0 and self.times[i] and self.times[i][-1] == self.went_on == run.time_within(share):
-                continue  # already found at the end of the previous piece
+        """Store the events found last; returns the fraction of the step at which one of them ends the run."""
+        found = run.found
+        for i, share, jumps in found:
             if self.differentiates:
-                self.derivatives[i].append(self._slopes(run, i, share))
-            if self._note(i, run.time_within(share), run.state_within(share)):
-                return share
-        return None
+                slope = math.inf if jumps else self._slope(run, i, share)
+                self.derivatives[i].append(_Slopes(run.sensitivity_within(share), slope, run.rates_within(share)))
+            self.times[i].append(run.time_within(share))
+            self.states[i].append(run.state_within(share))
+        return found[-1][1] if found and run.ended_by >= 0 else None
 
-    def leave(self, run: Run) -> None:
-        """Keep what `across` needs of the last step before a discontinuity."""
-        self.left = run.t
-        for i, start, end in zip(self.named, *run.event_values, strict=True):
-            self.changes[i] = abs(end - start)
-        if self.differentiates:
-            self.at_end = [self._slopes(run, i, 1.0) for i in self.named]
-
-    def across(self, run: Run) -> bool:
-        """Store the events at a discontinuity, after it; returns whether one of them is terminal."""
-        before, self.went_on = self._move_on(run), run.t
-        terminal = False
-        for i in self._changed(before):
-            change = abs(self.values[i] - before[i])
-            is_continuous = change <= CONTINUOUS * self.changes[i]
-            if change == 0.0 or (is_continuous and self.times[i] and self.times[i][-1] == self.left):
-                continue  # found in the step before
-            if self.differentiates:
-                at = self.at_end[self.named.index(i)]
-                # a jump is at a time that depends on nothing
-                jump = _Slopes(run.sensitivity_within(1.0), math.inf, run.rates_within(1.0))
-                self.derivatives[i].append(at if is_continuous else jump)
-            terminal |= self._note(i, run.t, run.x)
-        return terminal
-
-    def _slopes(self, run: Run, i: int, share: float) -> _Slopes:
-        return _Slopes(run.sensitivity_within(share), self._slope(run, i, share), run.rates_within(share))
+    def touched(self, run: Run) -> str:
+        """Sentences on functions that were zero without a change of sign."""
+        named = zip(self.events, run.touched, strict=True)
+        return "".join(TOUCHED.format(_name(event), t) for event, t in named if math.isfinite(t))
 
     def _slope(self, run: Run, i: int, share: float) -> float:
         """The derivative of an event function over time, by a difference of order 4 along the interpolant.
 
         Within the step: at its ends, inputs may have discontinuities.
         """
-        place = self.named.index(i)
         middle = min(max(share, 2.0 * SPACING), 1.0 - 2.0 * SPACING)
         at = middle + SPACING * np.arange(-2, 3)
-        values = [run.event_values_within(each)[place] for each in at]
+        values = [run.event_values_within(each)[i] for each in at]
         # the polynomial through the values, in units of the spacing from the event
         slope = float(np.linalg.solve(np.vander((at - share) / SPACING), values)[-2])
         return slope / (SPACING * run.h) if abs(slope) > TOUCHING * np.abs(values).max() else 0.0
 
-    def _move_on(self, run: Run) -> list[float]:
-        """Evaluate the functions at the current state; returns their previous values."""
-        before = list(self.values)
-        for place, i in enumerate(self.named):  # intermediate steps were not checked
-            before[i] = run.event_values[0][place]
-        self.begin(run)
-        return before
 
-    def _changed(self, before: Sequence[float]) -> list[int]:
-        """The events with a sign change."""
-        found = []
-        for i, event in enumerate(self.events):
-            up, down = before[i] <= 0.0 <= self.values[i], before[i] >= 0.0 >= self.values[i]
-            if (up and event.direction >= 0) or (down and event.direction <= 0):
-                found.append(i)
-        return found
-
-    def _note(self, i: int, t: float, x: Floats) -> bool:
-        """Store an event; returns whether it ends the run."""
-        self.times[i].append(t)
-        self.states[i].append(x)
-        terminal, function = self.events[i].terminal, self.events[i].function
-        ends = bool(terminal) and len(self.times[i]) >= int(terminal)
-        if ends:
-            self.ended_by = getattr(function, "__name__", str(function))
-        return ends
-
-    def _root(self, run: Run, i: int, before: float) -> float:
-        """The fraction of the last step at which a function is zero."""
-        from scipy.optimize import brentq
-
-        known = {0.0: before, 1.0: self.values[i]}
-
-        def value(share: float) -> float:
-            if share in known:
-                return known[share]
-            if i in self.named:
-                return float(run.event_values_within(share)[self.named.index(i)])
-            function: Any = self.events[i].function
-            return self._call(function, run.time_within(share), run.state_within(share))
-
-        precision = 4 * np.finfo(float).eps
-        return float(brentq(value, 0.0, 1.0, xtol=precision, rtol=precision, maxiter=MOST_ITERATIONS))
+def _name(event: Event) -> str:
+    return getattr(event.function, "__name__", str(event.function))

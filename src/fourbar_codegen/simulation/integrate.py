@@ -17,10 +17,10 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
-from fourbar_codegen.roles import StopReason
+from fourbar_codegen.roles import StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
-from fourbar_codegen.simulation.events import Watch
+from fourbar_codegen.simulation.events import Watch, watched_quantity
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
 from fourbar_codegen.simulation.singularity import Singular
 
@@ -39,10 +39,6 @@ PAUSE_SECONDS = 0.02
 
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
-ZERO_AT_START = (
-    " Its function, {}, is zero at the start, t = {:.9g}, which counts as an event, so that the run ends at once. To "
-    "go on to the next one, count it with terminal=2, or take changes of the other direction only, or begin elsewhere."
-)
 NOT_SOLVED = (
     "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
     'singular position, method="DOP853" selects its step size itself.'
@@ -66,9 +62,6 @@ UNKNOWN_JUMP = (
 )
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
-
-ROUNDED = 1e-9
-"""An event in this fraction of the first step is at the start: its function differs from zero by rounding errors."""
 
 ALL_TIME = (0.0, -math.inf, math.inf)
 """The clock of a right-hand side of absolute times, without discontinuities at which inputs are held."""
@@ -128,8 +121,8 @@ class _Integration:
     """
 
     __slots__ = (
-        "dense", "differentiates", "directions", "foreign", "looks", "message", "model", "ode", "options", "pieces",
-        "run", "samples", "singular", "status", "t_eval", "watch",
+        "dense", "differentiates", "directions", "examined", "foreign", "looks", "message", "model", "ode", "options",
+        "pieces", "run", "samples", "singular", "status", "t_eval", "watch",
     )  # fmt: skip
 
     def __init__(self, model: Kernel, ode: Ode, x0: Floats, options: RunOptions, directions: Directions | None) -> None:
@@ -137,6 +130,7 @@ class _Integration:
         self.differentiates = options.gradient or directions is not None
         self.status: int | None = None
         self.message = self.singular = ""
+        self.examined = 0
         self.samples: list[tuple[Floats, Floats]] = []
         self.looks: Singular | None = None
         self.watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
@@ -147,8 +141,6 @@ class _Integration:
         self.foreign = self._foreign_method() if options.method in SOLVERS else None
         self.run = run = self._make_run(x0)
         run.begin()
-        if self.watch:
-            self.watch.begin(run)
         others = _other_values(model, options, directions) if later else {}
         self.pieces = Pieces(ode, options.t_span, later, others) if later else None
         if self.pieces:
@@ -181,8 +173,8 @@ class _Integration:
             options.atol,
             options.project,
             self.t_eval,
-            watch.outputs if watch else (),
-            options.dense_output or (watch is not None and bool(watch.callables)),
+            watch.rows if watch else (),
+            options.dense_output,
         )
         varied = self.directions
         if options.gradient:
@@ -231,38 +223,34 @@ class _Integration:
     def _examine(self) -> None:
         """The last step may have an event, or pass a singular position; the dense output has it too."""
         run = self.run
-        if run.toggled:
+        is_new, self.examined = run.n_steps != self.examined, run.n_steps  # or what is left of the events in a step
+        if is_new and run.toggled:
             self._make_room()
             self.singular = self._singular().within_step(run, self.samples)
             if self.singular:
                 run.discard()
                 self.status, self.message = -1, self.singular
                 return
-        if self.dense is not None:
+        if is_new and self.dense is not None:
             self.dense.add(run)
         end = self.watch.look(run) if self.watch else None
-        if end is not None and self.watch:
+        if end is not None:
             run.stop_within(end)
-            self.status, self.message = 1, TERMINATED + _at_start(self.watch.ended_by, run, end, self.options.t_span[0])
+            self.status, self.message = 1, TERMINATED
 
     def _end_piece(self) -> None:
         """The end of the run, or a discontinuity."""
-        run, watch, pieces = self.run, self.watch, self.pieces
+        run, pieces = self.run, self.pieces
         if not (pieces and pieces.ahead):
             self.status, self.message = 0, REACHED_END
             return
         self._make_room()
-        if watch is not None:
-            watch.leave(run)
         try:
             closed = pieces.go_on(run)
         except SimulationError as error:
             self.status, self.message = -1, str(error)
             return
-        if watch is not None and watch.across(run):
-            run.stop_within(1.0)
-            self.status, self.message = 1, TERMINATED
-        elif not closed:
+        if not closed:
             self.status, self.message = -1, FAILED[StopReason.OPEN]
         unknown = pieces.unknown.intersection(self.directions.names if self.directions else ())
         if unknown:
@@ -324,8 +312,6 @@ class _Integration:
         samples, asked = self.samples, self.options.t_eval
         t, y = samples[0] if len(samples) == 1 else map(np.concatenate, zip(*samples, strict=True))
         y = y.T
-        if self.dense is not None and asked is None and t.size > 1 and t[-1] == t[-2]:
-            t, y = t[:-1], y[:, :-1]  # an event at the start of a step, which SciPy omits as well if there is `sol`
         input_times = self.pieces.input_times(t) if self.pieces else t
         n = t.size
         if asked is not None and self.t_eval is not None:
@@ -347,6 +333,7 @@ class _Integration:
         if options.project and model.layout.constraints.are_stated and status >= 0:
             sentence = left(model, self.ode, input_times, y, options.parameters)
             status, message = (-1, sentence) if sentence else (status, message)
+        message += self.watch.touched(self.run) if self.watch else ""
         if not self.singular:  # near singular positions speeds grow for that reason
             end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
             message += _growth(self.ode, input_times, y, end, by_steps=self.t_eval is None)
@@ -382,11 +369,6 @@ def _other_values(model: Kernel, options: RunOptions, directions: Directions | N
     return found
 
 
-def _at_start(function: str, run: Run, share: float, begin: float) -> str:
-    """A sentence if the terminal event in the last step is at the start of the run, otherwise an empty text."""
-    return ZERO_AT_START.format(function, begin) if run.n_steps == 1 and share <= ROUNDED else ""
-
-
 def _of_events(
     model: Kernel, ode: Ode, watch: Watch, directions: Directions, options: RunOptions
 ) -> list[dict[str, EventSensitivity]]:
@@ -396,25 +378,28 @@ def _of_events(
     time changes by S + x' dt/dp.
     """
     n, p, inputs = directions.matrix.shape[1], options.parameters, options.inputs or {}
-    found = []
+    found: list[dict[str, EventSensitivity]] = []
     for place, event in enumerate(watch.events):
         times, states = watch.times[place], watch.states[place]
         of_times, of_states = np.zeros((n, len(times))), np.zeros((n, model.n_x, len(times)))
-        row = model.outputs.index(str(event.function))
+        quantity, row = watched_quantity(model, str(event.function))
         for i, (t, x, (s, slope, rates)) in enumerate(zip(times, states, watch.derivatives[place], strict=True)):
             r, at = ode.input_values(t, x)[:, np.newaxis], np.array([t])
             by = s.T[:n]  # without probes
-            changes = output_sensitivity(
-                model,
-                at,
-                x[:, np.newaxis],
-                r,
-                parameters=p,
-                inputs=inputs,
-                directions=directions,
-                sensitivity=by[..., np.newaxis],
-            )
-            of_times[:, i] = -changes[:, row, 0] / (slope or math.nan)  # 0 for an output that is constantly zero
+            if quantity is Watched.OUTPUT:
+                changes = output_sensitivity(
+                    model,
+                    at,
+                    x[:, np.newaxis],
+                    r,
+                    parameters=p,
+                    inputs=inputs,
+                    directions=directions,
+                    sensitivity=by[..., np.newaxis],
+                )[:, row, 0]
+            else:
+                changes = by[:, row]
+            of_times[:, i] = -changes / (slope or math.nan)  # 0 for an output that is constantly zero
             of_states[..., i] = by + np.outer(of_times[:, i], rates)
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})

@@ -88,8 +88,13 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
                 ModelWarning,
                 stacklevel=4,
             )
-    if options.sensitivities and any(callable(event.function) for event in options.events or ()):
-        raise ModelError("Events by callables have no derivatives: make the function an output of the model.")
+    for event in options.events or () if options.sensitivities else ():
+        known = not callable(event.function) and event.function in (*model.states, *model.outputs)
+        if not known:
+            raise ModelError(
+                "Times of events have derivatives if these are of states or outputs: make the function an output of "
+                "the model."
+            )
     for key, source in (options.inputs or {}).items():
         if callable(source):
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")

@@ -25,7 +25,8 @@ static inline int fb_look(fb_run *r)
         if (passes != 0)
             return passes < 0 ? passes : FB_RUN_SINGULAR;
     }
-    const int events = fb_events_within(r);
+    watch->searched = 0.0;
+    const int events = watch->n_events > 0 ? fb_find_events(r) : 0;
     if (events < 0)
         return events;
     if (finds_singular)
@@ -46,6 +47,11 @@ static inline int fb_is_full(const fb_run *r)
 static inline int fb_run_on(fb_run *r, int64_t n)
 {
     for (;;) {
+        if (r->watch.n_found > 0) { /* what is left of the last step */
+            const int found = fb_find_events(r);
+            if (found != 0)
+                return found < 0 ? found : FB_RUN_EVENT;
+        }
         if (r->samples.pending) {
             const int status = fb_sample(r);
             if (status != FB_RUN_PAUSED)

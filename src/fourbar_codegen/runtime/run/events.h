@@ -1,53 +1,367 @@
-/* Changes of sign of event functions at the ends of a step. */
+/* Events: all changes of sign of functions along a step.
+ *
+ * A function is evaluated at states of the step's interpolant, at the points of a Chebyshev series whose degree is
+ * doubled until it is known. Where the series changes its sign, a root of the function itself is solved for, at states
+ * that satisfy the constraints.
+ *
+ * At a start, and where a run goes on after a discontinuity, rounding errors may put a function on either side of zero.
+ * A value that may consist of them counts as zero, and zero has no sign: an event is a change between two signs.
+ */
 #ifndef FOURBAR_EVENTS_H
 #define FOURBAR_EVENTS_H
 
+#include "roots.h"
 #include "run.h"
 
-/* The values of the outputs that are event functions. */
-static inline int fb_event_values(fb_run *r, const double since, const double *x, double *values)
+/* A series is known if its last two coefficients are below this fraction of its values. A root is excluded before that
+ * if so many times these coefficients do not suffice for one. */
+#define FB_SERIES_RTOL 1e-13
+#define FB_SERIES_MARGIN 100.0
+
+/* Rounding errors, relative to a function's terms or to times; and the relative change of t and x by which the size of
+ * these terms is found. */
+#define FB_ROUNDING_RTOL (64.0 * DBL_EPSILON)
+#define FB_TERM_CHANGE 1e-6
+
+/* A part of a step in which a function has no series is halved if it is longer than this fraction of the step;
+ * otherwise the signs at its points decide. */
+#define FB_LEAST_PART (1.0 / 64.0)
+
+/* A jump of a function at a discontinuity is larger than this fraction of its change over the step before. */
+#define FB_CONTINUOUS_RTOL 1e-9
+
+/* Which event functions are evaluated: one by its number, those with all roots, or all. */
+enum { FB_ALL_EVENTS = -1, FB_ALL_ROOTS = -2 };
+
+static inline int fb_is_asked(const fb_event *e, const int i, const int which)
+{
+    return which == FB_ALL_EVENTS || which == i || (which == FB_ALL_ROOTS && e->all_roots);
+}
+
+/* The values of event functions at a time and state. */
+static inline int fb_event_values(fb_run *r, const double since, const double *x, const int which, double *values)
 {
     fb_problem *const p = r->stepper.problem;
     const fb_watch *const watch = &r->watch;
     const fb_kernel *const k = p->kernel;
-    double *const accelerations = watch->outputs, *const multipliers = accelerations + k->n_u;
-    double *const outputs = multipliers + k->n_l;
+    double *const accelerations = watch->scratch, *const multipliers = accelerations + k->n_u;
+    double *outputs = multipliers + k->n_l, *const energies = outputs + k->n_o, *const momenta = energies + 3;
+    double *const found[] = {momenta, momenta + 3, momenta + 6};
     const double t = fb_time(&p->clock, since);
+    unsigned needs = 0;
+    for (int i = 0; i < watch->n_events; ++i)
+        if (fb_is_asked(watch->events + i, i, which))
+            needs |= 1U << watch->events[i].quantity;
     const int called = fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
-    k->accelerations(t, x, p->constants, p->inputs, accelerations, multipliers, p->work);
-    fb_problem_results(p, FB_OUTPUT, t, x, accelerations, multipliers, NULL, &outputs);
-    for (int i = 0; i < watch->n_events; ++i)
-        values[i] = outputs[watch->output[i]];
+    if (needs & (1U << FB_WATCHED_OUTPUT | 1U << FB_WATCHED_MULTIPLIER))
+        k->accelerations(t, x, p->constants, p->inputs, accelerations, multipliers, p->work);
+    if (needs & 1U << FB_WATCHED_OUTPUT)
+        fb_problem_results(p, FB_OUTPUT, t, x, accelerations, multipliers, NULL, &outputs);
+    if (needs & 1U << FB_WATCHED_ENERGY) {
+        fb_problem_results(p, FB_ENERGY, t, x, NULL, NULL, NULL, (double *const[]){energies});
+        energies[2] = energies[0] + energies[1];
+    }
+    if (needs & 1U << FB_WATCHED_MOMENTUM)
+        fb_problem_results(p, FB_MOMENTA, t, x, NULL, NULL, NULL, found);
+    const double *const quantities[] = {&t, x, p->inputs, outputs, multipliers, energies, momenta};
+    for (int i = 0; i < watch->n_events; ++i) {
+        const fb_event *const e = watch->events + i;
+        if (!fb_is_asked(e, i, which))
+            continue;
+        if (e->quantity != FB_WATCHED_CALLABLE)
+            values[i] = quantities[e->quantity][e->row];
+        else {
+            const int status = watch->call(watch->caller, e->row, since, x, values + i);
+            if (status < 0)
+                return status;
+        }
+    }
     return 0;
 }
 
-/* Whether a function with these values at both ends of a step has an event in it, by the rule of solve_ivp. */
-static inline int fb_is_event(const double before, const double after, const int direction)
+/* Evaluates the functions at the state where a run begins or goes on; values that may be rounding errors become zero.
+ */
+static inline int fb_begin_events(fb_run *r)
 {
-    return (before <= 0.0 && after >= 0.0 && direction >= 0) || (before >= 0.0 && after <= 0.0 && direction <= 0);
-}
-
-/* Evaluates the event functions at the state reached; their values there before are kept. */
-static inline int fb_move_events_on(fb_run *r)
-{
-    const fb_watch *const watch = &r->watch;
-    if (watch->n_events == 0)
+    fb_watch *const watch = &r->watch;
+    fb_stepper *const s = &r->stepper;
+    const int n = watch->n_events;
+    double *const begin = watch->values, *const there = begin + n, *const size = there + n;
+    double *const x = watch->along;
+    if (n == 0)
         return 0;
-    memcpy(watch->old, watch->value, (size_t)watch->n_events * sizeof *watch->old);
-    return fb_event_values(r, r->stepper.t, r->stepper.x, watch->value);
+    int status = fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, begin);
+    if (status < 0)
+        return status;
+    for (int i = 0; i < n; ++i)
+        size[i] = 0.0;
+    for (int j = -1; j < s->n; ++j) { /* t, then the state */
+        const double term = j < 0 ? s->problem->clock.origin + s->t : s->x[j];
+        double t = s->t;
+        memcpy(x, s->x, (size_t)s->n * sizeof *x);
+        *(j < 0 ? &t : x + j) += FB_TERM_CHANGE * term;
+        if (term == 0.0)
+            continue;
+        status = fb_event_values(r, t, x, FB_ALL_EVENTS, there);
+        if (status < 0)
+            return status;
+        for (int i = 0; i < n; ++i)
+            size[i] += fabs(there[i] - begin[i]) / FB_TERM_CHANGE;
+    }
+    for (int i = 0; i < n; ++i) {
+        fb_event *const e = watch->events + i;
+        e->jumps = e->sign != 0 && !(fabs(begin[i] - e->value) <= FB_CONTINUOUS_RTOL * e->change);
+        const int is_rounding = fabs(begin[i]) <= FB_ROUNDING_RTOL * size[i];
+        e->value = is_rounding && !e->at_start ? 0.0 : begin[i];
+        e->begins = e->sign == 0 && !e->at_start;
+    }
+    return 0;
 }
 
-/* Whether event functions may have changed their signs in the last step. */
-static inline int fb_events_within(fb_run *r)
+/* A part of the last step, from one fraction of it to another. */
+typedef struct fb_part_of_step {
+    fb_run *run;
+    double begin, end;
+    int event;
+} fb_part_of_step;
+
+/* A fraction of the step, for -1 <= y <= 1. */
+static inline double fb_fraction(const fb_part_of_step *part, const double y)
 {
-    const fb_watch *const watch = &r->watch;
-    const int status = fb_move_events_on(r);
-    int found = 0;
-    for (int i = 0; i < watch->n_events; ++i)
-        found |= fb_is_event(watch->old[i], watch->value[i], watch->direction[i]);
-    return status < 0 ? status : found;
+    return part->begin + 0.5 * (1.0 + y) * (part->end - part->begin);
+}
+
+static inline double fb_time_of_fraction(const fb_stepper *s, const double fraction)
+{
+    return fraction == 1.0 ? s->t : s->t_old + fraction * s->h;
+}
+
+/* The value of the part's event function where the constraints are satisfied; an fb_root_function. */
+static inline int fb_value_in_part(void *of, const double y, double *value)
+{
+    const fb_part_of_step *const part = of;
+    fb_watch *const watch = &part->run->watch;
+    fb_stepper *const s = &part->run->stepper;
+    const double fraction = fb_fraction(part, y);
+    if (fraction == 0.0 || fraction == 1.0) {
+        *value = fraction == 0.0 ? watch->events[part->event].value : watch->ends[part->event];
+        return 0;
+    }
+    const double t = fb_time_of_fraction(s, fraction);
+    int status = fb_state_at(s, t, watch->along);
+    if (status >= 0)
+        status = fb_event_values(part->run, t, watch->along, part->event, watch->polished);
+    *value = watch->polished[part->event];
+    return status;
+}
+
+/* The series of an event function in a part by its points for degree n: returns n, or 0 for a function without roots,
+ * or -1 if it is not known. */
+static inline int fb_series_of(const fb_watch *watch, const int i, const int n, fb_series *series)
+{
+    double values[FB_MOST_DEGREE + 1], largest = 0.0;
+    for (int j = 0; j <= n; ++j) {
+        values[j] = watch->values[j * (FB_MOST_DEGREE / n) * watch->n_events + i];
+        largest = fmax(largest, fabs(values[j]));
+    }
+    fb_chebyshev_fit(n, values, series->c);
+    const double last = fabs(series->c[n - 1]) + fabs(series->c[n]);
+    series->n = n;
+    series->error = last + FB_ROUNDING_RTOL * largest;
+    if (fabs(series->c[0]) > fb_chebyshev_range(n, series->c) + FB_SERIES_MARGIN * last)
+        return 0;
+    return last <= FB_SERIES_RTOL * largest ? n : -1;
+}
+
+/* Evaluates the functions at the points of a part until their series are known; returns whether that is so. */
+static inline int fb_know_part(const fb_part_of_step *part)
+{
+    fb_run *const r = part->run;
+    fb_watch *const watch = &r->watch;
+    fb_stepper *const s = &r->stepper;
+    const int n_events = watch->n_events;
+    fb_series series;
+    double *const first = watch->values + FB_MOST_DEGREE * n_events, *const last = watch->values;
+    int open = 0, status = 0;
+    for (int i = 0; i < n_events; ++i) {
+        watch->events[i].degree = watch->events[i].all_roots ? -1 : 0;
+        open += watch->events[i].all_roots;
+        first[i] = watch->events[i].value;
+        last[i] = watch->ends[i];
+    }
+    for (int n = FB_LEAST_DEGREE; n <= FB_MOST_DEGREE && open > 0; n *= 2) {
+        /* Points with an even number are those of half the degree; the last one is the beginning. */
+        const int is_first = n == FB_LEAST_DEGREE;
+        for (int j = is_first && part->end < 1.0 ? 0 : 1; j < n; j += is_first ? 1 : 2) {
+            const double t = fb_time_of_fraction(s, fb_fraction(part, fb_chebyshev_point(n, j)));
+            status = s->method->interpolate(s, t, watch->along);
+            if (status >= 0)
+                status = fb_event_values(r, t, watch->along, j == 0 ? FB_ALL_EVENTS : FB_ALL_ROOTS,
+                                         watch->values + j * (FB_MOST_DEGREE / n) * n_events);
+            if (status < 0)
+                return status;
+        }
+        for (int i = 0; i < n_events; ++i)
+            if (watch->events[i].degree < 0) {
+                watch->events[i].degree = fb_series_of(watch, i, n, &series);
+                open -= watch->events[i].degree >= 0;
+            }
+    }
+    return open == 0;
+}
+
+/* A root of the part's event function where it crosses zero: with a series, near the root of that. */
+static inline int fb_solve_for_root(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series, double *root)
+{
+    const double a = crossing->low, b = crossing->high;
+    double at_a, at_b;
+    *root = a;
+    if (a == b)
+        return 0;
+    int status = fb_value_in_part(part, a, &at_a);
+    if (status < 0 || at_a == 0.0)
+        return status;
+    if (series) {
+        double slope[FB_MOST_DEGREE + 1], near_a, near_b, at_root, at_other;
+        near_a = fb_chebyshev_value(series->n, series->c, a);
+        near_b = fb_chebyshev_value(series->n, series->c, b);
+        if (fb_is_bracket(near_a, near_b))
+            fb_solve_bracketed(fb_value_of_series, series, a, near_a, b, near_b, root);
+        status = fb_value_in_part(part, *root, &at_root);
+        if (status < 0)
+            return status;
+        fb_chebyshev_slope(series->n, series->c, slope);
+        const double step = -2.0 * at_root / fb_chebyshev_value(series->n - 1, slope, *root);
+        const double other = *root + step < b ? fmax(*root + step, a) : b; /* also if it is NaN */
+        status = fb_value_in_part(part, other, &at_other);
+        if (status < 0)
+            return status;
+        if (fb_is_bracket(at_root, at_other))
+            return fb_solve_bracketed(fb_value_in_part, part, *root, at_root, other, at_other, root);
+    }
+    status = fb_value_in_part(part, b, &at_b);
+    if (status < 0 || !fb_is_bracket(at_a, at_b))
+        return status;
+    return fb_solve_bracketed(fb_value_in_part, part, a, at_a, b, at_b, root);
+}
+
+/* Stores an event, in the order of times. */
+static inline void fb_add_event(fb_watch *watch, const fb_found found)
+{
+    int place = watch->n_found++;
+    for (; place > 0 && watch->found[place - 1].fraction > found.fraction; --place)
+        watch->found[place] = watch->found[place - 1];
+    watch->found[place] = found;
+}
+
+/* Where the part's event function, whose value at the end is zero, loses its sign, after a place where it has it. */
+static inline int fb_find_zero(fb_part_of_step *part, double low, const int sign, double *root)
+{
+    *root = 1.0;
+    for (int i = 0; i < FB_MOST_HALVINGS; ++i) {
+        const double middle = 0.5 * (low + *root);
+        double value;
+        const int status = fb_value_in_part(part, middle, &value);
+        if (status < 0)
+            return status;
+        *(value * sign > 0.0 ? &low : root) = middle;
+    }
+    return 0;
+}
+
+/* Whether a place in the first step is the start of the run, to within rounding errors of its times. */
+static inline int fb_is_at_start(const fb_run *r, const double fraction)
+{
+    const double origin = r->stepper.problem->clock.origin;
+    const double latest = fmax(fabs(origin + r->stepper.t_old), fabs(origin + r->t_bound));
+    return fabs(fraction * r->stepper.h) <= FB_ROUNDING_RTOL * latest;
+}
+
+/* Finds the events of one function in a part whose series are known. */
+static inline int fb_find_events_of(fb_part_of_step *part)
+{
+    fb_run *const r = part->run;
+    fb_watch *const watch = &r->watch;
+    fb_event *const e = watch->events + part->event;
+    const double end = watch->values[part->event];
+    fb_series series;
+    fb_walk walk;
+    fb_begin_walk(&walk, e->sign, e->at_start);
+    fb_walk_to(&walk, -1.0, e->value, 0.0);
+    if (e->degree > 0) {
+        fb_series_of(watch, part->event, e->degree, &series);
+        fb_walk_along(&walk, &series);
+    }
+    for (int j = FB_MOST_DEGREE - 1; e->degree < 0 && j > 0; --j)
+        fb_walk_to(&walk, fb_cosines[j], watch->values[j * watch->n_events + part->event], 0.0);
+    fb_walk_to(&walk, 1.0, end, 0.0);
+    for (int k = 0; k < walk.n; ++k) {
+        const fb_crossing *const crossing = walk.found + k;
+        double root;
+        if (e->direction * crossing->sign < 0)
+            continue;
+        const int status = fb_solve_for_root(part, crossing, e->degree > 0 ? &series : NULL, &root);
+        if (status < 0)
+            return status;
+        if (k == 0 && e->begins && fb_is_at_start(r, fb_fraction(part, root)))
+            continue;
+        const int jumps = crossing->low == crossing->high && e->jumps;
+        fb_add_event(watch, (fb_found){part->event, jumps, fb_fraction(part, root)});
+    }
+    /* Zero counts where the run ends. */
+    if (part->end == 1.0 && r->stepper.t == r->t_bound && end == 0.0 && walk.sign != 0) {
+        double root;
+        const int status = fb_find_zero(part, walk.from, walk.sign, &root);
+        if (status < 0)
+            return status;
+        if (e->direction * walk.sign <= 0)
+            fb_add_event(watch, (fb_found){part->event, 0, fb_fraction(part, root)});
+        walk.sign = 0;
+    }
+    e->at_start &= walk.sign == 0;
+    e->begins = 0;
+    if (walk.touched == walk.touched)
+        e->touched = fb_time_of_fraction(&r->stepper, fb_fraction(part, walk.touched));
+    e->change = fabs(end - e->value);
+    e->sign = walk.sign;
+    e->value = end;
+    return 0;
+}
+
+/* Finds events in the rest of the last step, in the order of times, up to one that ends the run; returns their number.
+ * If there are any, a part of the step may still be left. */
+static inline int fb_find_events(fb_run *r)
+{
+    fb_watch *const watch = &r->watch;
+    fb_stepper *const s = &r->stepper;
+    watch->n_found = 0;
+    int status = watch->searched == 0.0 ? fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends) : 0;
+    while (status >= 0 && watch->searched < 1.0 && watch->n_found == 0) {
+        fb_part_of_step part = {r, watch->searched, 1.0, 0};
+        for (;;) {
+            status = fb_know_part(&part);
+            if (status != 0 || part.end - part.begin <= FB_LEAST_PART)
+                break;
+            part.end = 0.5 * (part.begin + part.end);
+        }
+        for (; status >= 0 && part.event < watch->n_events; ++part.event)
+            status = fb_find_events_of(&part);
+        watch->searched = part.end;
+    }
+    if (status < 0)
+        return status;
+    for (int k = 0; k < watch->n_found; ++k) {
+        fb_event *const e = watch->events + watch->found[k].event;
+        e->n_found += 1;
+        if (e->terminal > 0 && e->n_found >= e->terminal) {
+            watch->n_found = k + 1;
+            watch->ended_by = watch->found[k].event;
+            watch->searched = 1.0;
+        }
+    }
+    return watch->n_found;
 }
 
 #endif

@@ -20,15 +20,46 @@ typedef struct fb_singular {
     double typical, integral;                                        /* the mean, and the integral of the logarithm */
 } fb_singular;
 
-/* What may end a run within a step: outputs whose changes of sign are events, and det J_d. */
+/* An event: a change of sign of a quantity. */
+typedef struct fb_event {
+    int32_t quantity, row; /* an FB_WATCHED and its number; that of a callable is the caller's */
+    int32_t direction;     /* of the changes that count: to 1, to -1, or 0 for both */
+    int64_t terminal;      /* the number of events that end the run, or 0 */
+    int32_t at_start;      /* whether a value of zero at the start counts */
+    int32_t all_roots;     /* or only changes between the ends of steps */
+    /* in a run, whose memory was zeroed */
+    int32_t sign;          /* the last sign, 0 before the first one */
+    int32_t begins, jumps; /* whether a run has begun, and whether the function has jumped where it goes on */
+    int32_t degree;        /* of its series in a part of a step; 0 if none is needed, -1 if none is known */
+    double value, change;  /* at the end of what was searched of the last step, and the change there */
+    int64_t n_found;
+    double touched; /* the last time at which it was zero and had the same sign before and after, or NaN */
+} fb_event;
+
+typedef struct fb_found {
+    int32_t event, jumps;
+    double fraction; /* of the last step */
+} fb_found;
+
+typedef int fb_called_event(void *caller, int number, double t, const double *x, double *value);
+
+/* What may end a run within a step: events, and det J_d. */
 typedef struct fb_watch {
     int n_events;
-    const int *output, *direction;
-    double *value, *old; /* (n_events,): at the end and at the beginning of the last step */
-    double *outputs;     /* (n_u + n_l + n_o,), scratch */
-    double *along;       /* (2, padded): a state within the last step, and x' there */
-    int look_at_all;     /* whether to examine every step */
-    int toggled;         /* whether the sign of det J_d has changed in the last step */
+    fb_event *events;
+    fb_found *found;  /* (FB_MOST_CROSSINGS * n_events,): the events of the last part of a step */
+    double *values;   /* (FB_MOST_DEGREE + 1, n_events): of the functions, at the points of that part */
+    double *ends;     /* (n_events,), at the end of the step */
+    double *polished; /* (n_events,), scratch */
+    double *scratch;  /* (n_u + n_l + n_o + 12,) */
+    int n_found;
+    double searched; /* the fraction of the last step in which all events were found */
+    int ended_by;    /* the number of the event that ends the run, or -1 */
+    fb_called_event *call;
+    void *caller;
+    double *along;   /* (2, padded): a state within the last step, and x' there */
+    int look_at_all; /* whether to examine every step */
+    int toggled;     /* whether the sign of det J_d has changed in the last step */
     fb_singular singular;
 } fb_watch;
 

@@ -14,11 +14,15 @@ static inline int fb_begin(fb_run *r)
     s->fsal = 0;
     const int status = s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
     fb_singular *const singular = &r->watch.singular;
-    if (status == 0 && singular->least_pivot) {
+    if (status < 0)
+        return status;
+    if (singular->least_pivot) {
         singular->typical = singular->least_pivot(s, s->t, s->x);
         singular->integral = 0.0;
     }
-    return status;
+    r->watch.ended_by = -1;
+    r->watch.n_found = 0;
+    return fb_begin_events(r);
 }
 
 /* The segment in which the run goes on. */
@@ -48,7 +52,7 @@ static inline int fb_enter(fb_run *r, const fb_segment *segment, const double *x
     }
     int status = fb_resume(s);
     if (status == 0)
-        status = fb_move_events_on(r);
+        status = fb_begin_events(r);
     return status < 0 ? status : FB_RUN_PAUSED;
 }
 
@@ -69,6 +73,7 @@ static inline int fb_stop_within(fb_run *r, const double t)
         return status;
     memcpy(s->x, along, (size_t)s->n * sizeof *along);
     s->t = t;
+    r->samples.pending &= t != s->t_old; /* the beginning of a step has been sampled */
     return 0;
 }
 

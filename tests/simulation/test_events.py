@@ -1,0 +1,246 @@
+"""Events: all roots within a step, in all methods, and where functions begin at zero."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+
+import fourbar_codegen as fb
+
+METHODS = ("DOP853", "RK45", "Tsit5", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+SPACING = 32.0 * np.spacing(10.0)
+"""A time of some seconds by its step's beginning and length, and a root of a function that is evaluated there."""
+
+
+@pytest.fixture(scope="module")
+def cubic():
+    """y'' = 6 t + 12: with y(-8) = -120, y'(-8) = 92, y = (t + 6) (t + 2) (t - 2)."""
+    t = me.dynamicsymbols._t
+    y, v = me.dynamicsymbols("y v")
+    m = sm.Symbol("m")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    place = origin.locatenew("P", y * frame.x)
+    place.set_vel(frame, v * frame.x)
+    method = me.KanesMethod(frame, [y], [v], kd_eqs=[v - y.diff(t)])
+    method.kanes_equations([me.Particle("P", place, m)], [(place, m * (6 * t + 12) * frame.x)])
+    return fb.compile_model(fb.Model(method, parameters={m: 1.0}, outputs={"place": y}))
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    """x'' = -x, so that x = cos(t), v = -sin(t) from (1, 0)."""
+    t = me.dynamicsymbols._t
+    x, v = me.dynamicsymbols("x v")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    place = origin.locatenew("P", x * frame.x)
+    place.set_vel(frame, v * frame.x)
+    method = me.KanesMethod(frame, [x], [v], kd_eqs=[v - x.diff(t)])
+    method.kanes_equations([me.Particle("P", place, sm.Integer(1))], [(place, -x * frame.x)])
+    return fb.compile_model(fb.Model(method))
+
+
+def run_of(cubic, method, span, x0, **how):
+    given = {"max_step": 0.01} if method == "ALI3P" else {"rtol": 1e-9, "atol": 1e-9}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return cubic.simulate(span, x0, method=method, **given, **how)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_all_roots_of_a_cubic_within_few_steps(cubic, method):
+    """SciPy's solve_ivp finds the first of three, https://github.com/scipy/scipy/issues/9228."""
+    # Steps of 0.01 s by the trapezoidal rule have an error of 6 h^2 / 12 times the time that y takes; the multistep
+    # methods' errors are some hundred tolerances, over a least slope of 16.
+    atol = 1e-4 if method == "ALI3P" else 1e-6
+    for function in ("y", "place", lambda t, x: x[0]):
+        ahead = run_of(cubic, method, (-8.0, 8.0), [-120.0, 92.0], events=function)
+        back = run_of(cubic, method, (8.0, -8.0), [840.0, 284.0], events=function)
+        np.testing.assert_allclose(ahead.t_events[0], [-6.0, -2.0, 2.0], rtol=0.0, atol=atol)
+        np.testing.assert_allclose(back.t_events[0], [2.0, -2.0, -6.0], rtol=0.0, atol=atol)
+    assert method not in {"DOP853", "RK45", "Tsit5"} or len(ahead.t) < 10
+
+
+@pytest.mark.parametrize(
+    ("direction", "terminal", "expected"),
+    [
+        (0, False, [-6.0, -2.0, 2.0]), (1, False, [-6.0, 2.0]), (-1, False, [-2.0]), (0, True, [-6.0]),
+        (0, 2, [-6.0, -2.0]), (0, 3, [-6.0, -2.0, 2.0]), (0, 4, [-6.0, -2.0, 2.0]), (1, 2, [-6.0, 2.0]),
+        (-1, True, [-2.0]),
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("t_eval", [None, np.linspace(-8.0, 8.0, 17)])
+@pytest.mark.parametrize("backwards", [False, True])
+def test_directions_and_counts_within_one_step(cubic, direction, terminal, expected, t_eval, backwards):
+    span, x0, sign = (-8.0, 8.0), [-120.0, 92.0], 1
+    if backwards:  # in the mirror t -> -4 - t, y -> -y
+        span, x0, sign = (4.0, -12.0), [120.0, 92.0], -1
+        expected = [-4.0 - t for t in expected]
+        t_eval = None if t_eval is None else -4.0 - t_eval
+    event = fb.Event("y", direction=sign * direction, terminal=terminal)
+    run = cubic.simulate(span, x0, rtol=1e-9, atol=1e-9, events=event, t_eval=t_eval, dense_output=True)
+    np.testing.assert_allclose(run.t_events[0], expected, rtol=0.0, atol=1e-9)
+    ends = bool(terminal) and len(expected) == int(terminal)
+    assert run.status == int(ends)
+    assert run.t[-1] == (run.t_events[0][-1] if ends else span[1])
+    np.testing.assert_allclose(run.sol(run.t_events[0])[0], 0.0, rtol=0.0, atol=1e-12 * 840.0)
+    if t_eval is not None:
+        asked = [t for t in t_eval if abs(t - span[0]) < abs(run.t[-1] - span[0])]
+        np.testing.assert_array_equal(run.t[:-1], asked)
+
+
+def test_events_of_one_step_are_in_the_order_of_times_and_end_at_the_first_terminal_one(cubic):
+    times = [1.0, -3.0, 0.5, -5.0, 3.0]
+    events = [fb.Event(lambda t, x, at=at: t - at) for at in times]
+    run = cubic.simulate((-8.0, 8.0), [-120.0, 92.0], events=[*events, fb.Event("y", terminal=2)])
+    assert run.t_events[-1] == pytest.approx([-6.0, -2.0])
+    assert [len(found) for found in run.t_events[:-1]] == [0, 1, 0, 1, 0]
+    assert run.t[-1] == run.t_events[-1][-1]
+
+
+def _products(rng, gap):
+    """Factors whose product has a pair of roots at a distance, and others; and the roots, from 0 to 10."""
+    first = rng.uniform(0.5, 9.0)
+    roots = np.array([first, first + gap, *rng.uniform(0.5, 9.5, rng.integers(0, 4))])
+    if rng.integers(2):
+        return lambda t, x: float(np.prod((t - roots) / 10.0)), np.sort(roots)
+    rates = rng.uniform(0.2, 1.5, len(roots))
+    more = np.concatenate([roots + k * np.pi / rates for k in range(-10, 11)])
+    return lambda t, x: float(np.prod(np.sin(rates * (t - roots)))), np.sort(more[(more > 0.0) & (more < 10.0)])
+
+
+@pytest.mark.parametrize("share", [0.5, 1e-2, 1e-3, 1e-4])
+def test_no_root_of_random_products_is_missed_down_to_a_distance_of_1e_4_of_a_step(oscillator, share):
+    """250 polynomials and products of sines of the time for each distance of a pair of roots."""
+    steps = np.diff(oscillator.simulate((0.0, 10.0), [1.0, 0.0]).t)
+    rng = np.random.default_rng(round(1.0 / share))
+    n = 0
+    while n < 250:
+        function, roots = _products(rng, share * steps.max())
+        if np.diff(roots).min() < 0.99 * share * steps.max() or roots[0] < 0.0 or roots[-1] > 10.0:
+            continue
+        found = oscillator.simulate((0.0, 10.0), [1.0, 0.0], events=function).t_events[0]
+        assert len(found) == len(roots)
+        np.testing.assert_allclose(found, roots, rtol=0.0, atol=SPACING)
+        n += 1
+
+
+def test_no_root_through_states_is_missed_down_to_a_hundred_times_the_error_of_the_run(oscillator):
+    """sin(t - a) sin(t - b) by the states cos(t), -sin(t)."""
+    t_end = 20.0
+    reached = oscillator.simulate((0.0, t_end), [1.0, 0.0], rtol=1e-8, atol=1e-8).y[:, -1]
+    error = np.abs(reached - [np.cos(t_end), -np.sin(t_end)]).max()
+    rng = np.random.default_rng(3)
+    for _ in range(100):
+        a = rng.uniform(0.1, 3.0)
+        shifts = np.array([a, a + 100.0 * error])
+
+        def function(t, x, shifts=shifts):
+            return float(np.prod(-x[1] * np.cos(shifts) - x[0] * np.sin(shifts)))
+
+        run = oscillator.simulate((0.0, t_end), [1.0, 0.0], rtol=1e-8, atol=1e-8, events=function)
+        roots = np.sort(np.concatenate([shifts + k * np.pi for k in range(7)]))
+        roots = roots[roots < t_end]
+        assert len(run.t_events[0]) == len(roots)
+        np.testing.assert_allclose(run.t_events[0], roots, rtol=0.0, atol=2.0 * error)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
+@pytest.mark.parametrize("beside", [0.0, 1e-17, -1e-17, 1e-16, -1e-16])
+def test_a_start_on_the_surface_is_no_event_from_either_side(oscillator, method, beside):
+    """x = sin(t) begins at zero, to within rounding errors, and returns at pi. SciPy's rule counts the start."""
+    how = {"method": method, "rtol": 1e-9, "atol": 1e-9}
+    run = oscillator.simulate((0.0, 4.0), [beside, 1.0], events=fb.Event("x", terminal=True), **how)
+    assert run.t_events[0] == pytest.approx([np.pi], abs=1e-7)
+    # with an offset, the function's terms are larger than what it is at the start
+    offset = fb.Event(lambda t, x: (x[0] + 0.3) - 0.3, terminal=True)
+    assert oscillator.simulate((0.0, 4.0), [beside, 1.0], events=offset, **how).t[-1] == pytest.approx(
+        run.t[-1], abs=1e-12
+    )
+    if beside <= 0.0:
+        start = fb.Event("x", terminal=True, at_start=True)
+        assert oscillator.simulate((0.0, 4.0), [beside, 1.0], events=start, **how).t_events[0] == pytest.approx(
+            [0.0], abs=1e-15
+        )
+
+
+def test_the_first_return_of_many_starts_on_a_surface_is_a_period(oscillator):
+    """A return map goes on from where it ended: x rises through c once in 2 pi."""
+    rng = np.random.default_rng(5)
+    for level in rng.uniform(-0.9, 0.9, 20):
+        surface = fb.Event(lambda t, x, level=level: x[0] - level, direction=1, terminal=True)
+        t, x = 0.0, [0.0, 1.0]
+        times = []
+        for _ in range(4):
+            run = oscillator.simulate((t, t + 10.0), x, events=surface, rtol=1e-10, atol=1e-10)
+            t, x = run.t[-1], run.y[:, -1]
+            times.append(t)
+        np.testing.assert_allclose(np.diff(times), 2.0 * np.pi, rtol=0.0, atol=1e-7)
+
+
+def test_a_function_that_touches_zero_is_said(oscillator):
+    run = oscillator.simulate((0.0, 4.0), [1.0, 0.0], rtol=1e-10, atol=1e-10, events=lambda t, x: (t - 2.0) ** 2)
+    assert run.t_events[0].size == 0
+    assert "<lambda> is zero at t = 2" in run.message
+    assert "with the same sign before and after" in run.message
+    assert "zero at" not in oscillator.simulate((0.0, 4.0), [1.0, 0.0], events="x").message
+
+
+def test_a_function_with_kinks_and_jumps_has_its_changes_of_sign(oscillator):
+    roots = [1.1, 1.3, 3.7]
+    for function, expected in (
+        (lambda t, x: abs(t - 1.2) - 0.1, roots[:2]),
+        (lambda t, x: 1.0 if roots[0] < t < roots[2] else -1.0, [roots[0], roots[2]]),
+        (lambda t, x: max(t - roots[2], -0.5), roots[2:]),
+    ):
+        found = oscillator.simulate((0.0, 10.0), [1.0, 0.0], events=function).t_events[0]
+        np.testing.assert_allclose(found, expected, rtol=0.0, atol=SPACING)
+
+
+def test_an_event_at_the_end_of_a_run_counts(oscillator):
+    for t_end in (2.0, 1.0 / 3.0, 0.1):
+        run = oscillator.simulate((0.0, t_end), [1.0, 0.0], events=lambda t, x, t_end=t_end: t - t_end)
+        np.testing.assert_array_equal(run.t_events[0], [t_end])
+
+
+def test_the_ends_of_steps_alone_are_looked_at_if_that_is_asked_for(cubic):
+    calls = []
+
+    def function(t, x):
+        calls.append(t)
+        return x[0]
+
+    how = {"rtol": 1e-9, "atol": 1e-9}
+    run = cubic.simulate((-8.0, 8.0), [-120.0, 92.0], events=fb.Event(function, all_roots=False), **how)
+    few = len(calls)
+    calls.clear()
+    cubic.simulate((-8.0, 8.0), [-120.0, 92.0], events=function, **how)
+    assert len(run.t_events[0]) % 2 == 1  # the sign changes from first to last
+    assert few < len(calls)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("x", lambda x, v: x), ("v", lambda x, v: v), ("kinetic_energy", None), ("momentum_x", lambda x, v: v),
+        ("t", None),
+    ],
+)  # fmt: skip
+def test_quantities_are_events_by_their_names(oscillator, name, value):
+    found = oscillator.simulate((0.0, 10.0), [1.0, 0.5], rtol=1e-10, atol=1e-10, events=name)
+    if value is None:  # positive from the start on, or zero at the start alone
+        assert found.t_events[0].size == 0
+    else:
+        called = oscillator.simulate(
+            (0.0, 10.0), [1.0, 0.5], rtol=1e-10, atol=1e-10, events=lambda t, x: value(x[0], x[1])
+        )
+        assert len(found.t_events[0]) > 2
+        np.testing.assert_allclose(found.t_events[0], called.t_events[0], rtol=0.0, atol=SPACING)
+
+
+def test_what_cannot_be_an_event_is_refused_with_what_can(oscillator):
+    with pytest.raises(fb.ModelError, match=r"names of quantities \(x, v, t, kinetic_energy.*not 'speed'"):
+        oscillator.simulate((0.0, 1.0), [1.0, 0.0], events="speed")

@@ -93,16 +93,16 @@ class StopReason(_Enum):
 
 
 class Watched(_Enum):
-    """What an event is a change of sign of; the comment says which rows it has."""
+    """What an event is a change of sign of: one of the values of a quantity, by its number."""
 
-    TIME = 0, "t"
+    TIME = 0, "of one value, t"
     STATE = 1, "x"
     INPUT = 2, "r"
-    OUTPUT = 3, "the outputs"
-    MULTIPLIER = 4, "lambda, and unknown forces that drive the motion behind it"
-    ENERGY = 5, "kinetic, potential and total energy"
-    MOMENTUM = 6, "the components of FB_MOMENTA"
-    CALLABLE = 7, "functions of the caller"
+    OUTPUT = 3, "outputs"
+    MULTIPLIER = 4, "multipliers, and unknown forces that drive the motion behind them"
+    ENERGY = 5, "kinetic, potential, total"
+    MOMENTUM = 6, "momentum, angular momentum and spin: three components each"
+    CALLABLE = 7, "a function of the caller"
 
 
 class Threshold(float, Enum):
@@ -263,7 +263,7 @@ def enums_text() -> str:
     )
     for kind, name, prefix in kinds:
         rows = [f"    {prefix}_{member.name.upper()} = {member.value}, /* {member.comment} */" for member in kind]
-        rows += [f"    FB_N_{name.removeprefix('FB_')}S = {len(kind)}"] if kind in {Method, Role} else []
+        rows += [f"    FB_N_{name.removeprefix('FB_')}S = {len(kind)}"] if kind in {Method, Role, Watched} else []
         texts.append("\n".join([f"/* {kind.__doc__} */", f"enum {name} {{", *rows, "};"]))
     cases = "\n".join(f'    case FB_{s.name}: return "{s.comment}";' for s in Status)
     texts.append(f"""\

@@ -19,12 +19,12 @@ from builders.systems import (
     slider,
 )
 from harness import PROJECT
-from harness.c_library import STRICT, Library
+from harness.c_library import FUNCTION, STRICT, Library
 from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
-from fourbar_codegen.roles import Method, Status
+from fourbar_codegen.roles import Method, Status, Watched
 
 
 @pytest.fixture(scope="module")
@@ -241,6 +241,78 @@ def test_c_library_run_by_each_method_is_that_of_simulate(exported, method):
     assert library.call("simulate", mechanism, 2.0, 1e-4, 1e-4, times, 21, states) == 0
     run = compiled.simulate((0.0, 2.0), x, method=method.name, t_eval=times, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(states, run.y.T, rtol=1e-11, atol=1e-11)
+
+
+@pytest.mark.parametrize("method", Method)
+def test_c_library_finds_the_events_of_simulate(exported, method):
+    """At the same states, whose rounding errors differ by fused instructions, over speeds of some 0.1 rad/s."""
+    compiled, library = exported("four_bar")
+    x = compiled.initial_state()
+    callback = FUNCTION(lambda of, t, state: state[0] + 1.2)
+    given = [
+        {"quantity": Watched.STATE, "number": 3, "direction": 1},
+        {"quantity": Watched.CALLABLE, "function": callback},
+        {"quantity": Watched.TIME, "ends_only": 1},
+        {"quantity": Watched.STATE, "number": 0, "terminal": 1},
+    ]
+    times = np.linspace(0.0, 4.0, 41)
+    how = {"method": method.name, "rtol": 1e-6, "atol": 1e-6}
+    names = [fb.Event("u1", direction=1), lambda t, state: state[0] + 1.2, fb.Event("t", all_roots=False)]
+    run = compiled.simulate((0.0, 4.0), x, events=names, t_eval=times, **how)
+    for room in (100, 3):
+        mechanism, events, states = library.new(), library.events(*given, room=room), np.zeros((41, compiled.n_x))
+        mechanism.x[:], mechanism.method = x, method
+        arguments = (4.0, 1e-6, 1e-6, times, 41, states, ctypes.byref(events))
+        assert library.call("simulate_events", mechanism, *arguments) == 0
+        assert (events.n_found, events.ended_by, mechanism.t) == (sum(map(len, run.t_events)), -1, 4.0)
+        assert events.n_found > 5
+        found = [(events.found[k].t, events.found[k].event) for k in range(min(room, events.n_found))]
+        expected = sorted((t, i) for i, at in enumerate(run.t_events) for t in at)[:room]
+        assert [i for _, i in found] == [i for _, i in expected]
+        np.testing.assert_allclose([t for t, _ in found], [t for t, _ in expected], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(states, run.y.T, rtol=1e-11, atol=1e-11)
+        if room == 3:
+            first = run.y_events[expected[0][1]][0]
+            np.testing.assert_allclose(events.found[0].x[:], first, rtol=0, atol=1e-11)
+            assert events.found[3 - 1].t > 0.0
+
+
+def test_c_library_run_ends_at_a_terminal_event(exported):
+    compiled, library = exported("four_bar")
+    x, times = compiled.initial_state(), np.linspace(0.0, 4.0, 41)
+    mechanism, states = library.new(), np.zeros((41, compiled.n_x))
+    mechanism.x[:] = x
+    events = library.events({"quantity": Watched.STATE, "number": 3, "terminal": 2})
+    assert library.call("simulate_events", mechanism, 4.0, 1e-8, 1e-8, times, 41, states, ctypes.byref(events)) == 0
+    run = compiled.simulate((0.0, 4.0), x, events=fb.Event("u1", terminal=2), t_eval=times, rtol=1e-8, atol=1e-8)
+    assert (events.n_found, events.ended_by) == (2, 0)
+    assert mechanism.t == pytest.approx(run.t[-1], abs=1e-12)
+    np.testing.assert_allclose(mechanism.x, run.y[:, -1], rtol=0, atol=1e-11)
+    n = np.count_nonzero(times < mechanism.t)
+    np.testing.assert_allclose(states[:n], run.y[:, :n].T, rtol=1e-11, atol=1e-11)
+    assert not states[n:].any()
+    # it goes on from there: a start on the surface is no event
+    assert library.call("simulate_events", mechanism, 4.0, 1e-8, 1e-8, None, 0, None, ctypes.byref(events)) == 0
+    more = compiled.simulate((run.t[-1], 4.0), run.y[:, -1], events=fb.Event("u1", terminal=2), rtol=1e-8, atol=1e-8)
+    assert mechanism.t == pytest.approx(more.t[-1], abs=1e-11)
+
+
+def test_c_library_refuses_events_that_are_none(exported):
+    compiled, library = exported("four_bar")
+    wrong = [
+        {"quantity": -1}, {"quantity": len(Watched)}, {"quantity": Watched.STATE, "number": compiled.n_x},
+        {"quantity": Watched.OUTPUT}, {"quantity": Watched.CALLABLE}, {"quantity": Watched.STATE, "number": -1},
+        {"quantity": Watched.TIME, "terminal": -1},
+    ]  # fmt: skip
+    for members in wrong:
+        mechanism, events = library.new(), library.events(members)
+        status = library.call("simulate_events", mechanism, 1.0, 1e-6, 1e-6, None, 0, None, ctypes.byref(events))
+        assert library.message(status) == Status.INVALID_ARGUMENT.comment
+        assert mechanism.t == 0.0
+    mechanism, events = library.new(), library.events({"quantity": Watched.TIME})
+    events.work = None
+    status = library.call("simulate_events", mechanism, 1.0, 1e-6, 1e-6, None, 0, None, ctypes.byref(events))
+    assert library.message(status) == Status.INVALID_ARGUMENT.comment
 
 
 def test_c_library_without_such_a_method_says_so(exported):

@@ -10,6 +10,8 @@ from harness.programs import compile_c
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
 
+FUNCTION = ctypes.CFUNCTYPE(ctypes.c_double, ctypes.c_void_p, ctypes.c_double, ctypes.POINTER(ctypes.c_double))
+
 
 class Library:
     """Export, compile and load a model; `new` makes mechanisms, functions have the names of the header."""
@@ -37,6 +39,34 @@ class Library:
                 ("memory", double * (int(re.search(r"bytes\[(\d+)\]", header)[1]) // 8)),
             ]
 
+        class Event(ctypes.Structure):
+            _fields_ = [
+                ("quantity", ctypes.c_int),
+                ("number", ctypes.c_int),
+                ("direction", ctypes.c_int),
+                ("ends_only", ctypes.c_int),
+                ("at_start", ctypes.c_int),
+                ("terminal", ctypes.c_long),
+                ("function", FUNCTION),
+                ("of", ctypes.c_void_p),
+            ]
+
+        class Found(ctypes.Structure):
+            _fields_ = [("event", ctypes.c_int), ("t", double), ("x", double * n["x"])]
+
+        class Events(ctypes.Structure):
+            _fields_ = [
+                ("n", ctypes.c_int),
+                ("event", ctypes.POINTER(Event)),
+                ("work", ctypes.POINTER(double)),
+                ("found", ctypes.POINTER(Found)),
+                ("room", ctypes.c_long),
+                ("n_found", ctypes.c_long),
+                ("ended_by", ctypes.c_int),
+            ]
+
+        self.Event, self.Found, self.Events = Event, Found, Events
+        self.event_work = int(re.search(rf"{self.name}_event_work = (\d+)", header)[1])
         self.Mechanism, self.loaded = Mechanism, ctypes.CDLL(str(shared))
         self.function("message").restype = ctypes.c_char_p
         for name in ("violation", "relative_violation", "input", "next_breakpoint"):
@@ -51,6 +81,16 @@ class Library:
         mechanism = self.Mechanism()
         self.call("init", mechanism)
         return mechanism
+
+    def events(self, *given, room=100):
+        """Events for `simulate_events`, each a dictionary of members."""
+        n = len(given)
+        kept = (
+            (self.Event * n)(*(self.Event(**members) for members in given)),
+            (ctypes.c_double * (self.event_work * n))(),
+            (self.Found * room)(),
+        )
+        return self.Events(n, *kept, room)
 
     def call(self, name, mechanism, *arguments):
         converted = []

@@ -15,7 +15,7 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.lowering.program import Program
 from fourbar_codegen.lowering.schedule import Schedule, ScheduledFunction
-from fourbar_codegen.roles import QUANTITIES, Method, Role, Status
+from fourbar_codegen.roles import QUANTITIES, Method, Role, Status, Watched
 
 __all__ = ["FOLDER", "library_texts"]
 
@@ -106,7 +106,8 @@ HEADER = Template(
 extern "C" {
 #endif
 
-/* Numbers of coordinates, speeds, states, parameters, inputs, outputs, multipliers and points. */
+/* Numbers of coordinates, speeds, states, parameters, inputs, outputs, multipliers and points; values of workspace for
+ * an event. */
 enum ${name}_sizes {
     ${name}_n_q = $n_q,
     ${name}_n_u = $n_u,
@@ -115,7 +116,8 @@ enum ${name}_sizes {
     ${name}_n_r = $n_r,
     ${name}_n_y = $n_y,
     ${name}_n_l = $n_l,
-    ${name}_n_points = $n_points
+    ${name}_n_points = $n_points,
+    ${name}_event_work = $event_work
 };
 
 /* Statuses; ${name}_message explains them. */
@@ -157,6 +159,42 @@ int ${name}_step(struct $name *model, double h, int order);
  * run ended; rows of later times are not written. */
 int ${name}_simulate(struct $name *model, double t_end, double rtol, double atol, const double *times, long n_times,
     double *states);
+
+/* What an event is a change of sign of. */
+enum ${name}_quantities {
+$watched};
+
+/* An event; members that are 0 are those of most events. */
+struct ${name}_event {
+    int quantity, number; /* one of ${name}_quantities, and its number */
+    int direction;        /* 1: only changes to positive values; -1: only those to negative ones; 0: both */
+    int ends_only;        /* whether to look at the ends of steps alone, where all roots within a step are found else */
+    int at_start;         /* whether a value of 0 at the start counts */
+    long terminal;        /* the number of events that end the run, or 0 */
+    double (*function)(void *of, double t, const double *x); /* of ${name}_quantity_callable */
+    void *of;                                                /* what it is called with */
+};
+
+/* Where an event is, and the state there. */
+struct ${name}_found {
+    int event;
+    double t, x[$n_x];
+};
+
+/* The events of a run, n of them, and what was found. The workspace has ${name}_event_work values for each event; the
+ * first `room` events are stored, in the order of times, of n_found. */
+struct ${name}_events {
+    int n;
+    const struct ${name}_event *event;
+    double *work;
+    struct ${name}_found *found;
+    long room, n_found;
+    int ended_by; /* the event that has ended the run, or -1 */
+};
+
+/* The same with events. A terminal one is a success: the mechanism is there then. */
+int ${name}_simulate_events(struct $name *model, double t_end, double rtol, double atol, const double *times,
+    long n_times, double *states, struct ${name}_events *events);
 
 /* dx/dt at another time and state, with the inputs as they are held. */
 int ${name}_rhs(struct $name *model, double t, const double *x, double *rates);
@@ -210,6 +248,10 @@ void ${name}_points(struct $name *model, double *points);
 """
 )
 """The header for users."""
+
+
+EVENT_WORK = 256
+"""Doubles of workspace for an event: library.h checks that they suffice."""
 
 
 def library_texts(
@@ -404,6 +446,8 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         n_dependent_coordinates=layout.n_dependent_coordinates,
         n_dependent_speeds=layout.n_dependent_speeds,
         methods=_enumerators([(f"{name}_{each.name.lower()}", each.value, each.comment) for each in Method]),
+        watched=_enumerators([(f"{name}_quantity_{each.name.lower()}", each.value, each.comment) for each in Watched]),
+        event_work=EVENT_WORK,
         statuses=_enumerators([(f"{name}_{each.name.lower()}", each.value, "") for each in Status]),
         entries=_entries(name, names, layout),
         members=_members(name, n_x, max(sizes.n_p, 1), max(sizes.n_r, 1)),

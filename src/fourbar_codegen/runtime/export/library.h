@@ -15,6 +15,9 @@
 #define FB_JOINED(model, name) model##_##name
 #define FB_NAMED(model, name) FB_JOINED(model, name)
 #define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
+#define FB_EVENT FB_PUBLIC(event)
+#define FB_FOUND FB_PUBLIC(found)
+#define FB_EVENTS FB_PUBLIC(events)
 
 /* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
  * number of their breakpoints, and FB_NEXT_CHANGE, the next of these times between two others, or the second one. */
@@ -60,7 +63,32 @@ struct FB_MODEL {
         unsigned char bytes[sizeof(fb_own)];
     } memory;
 };
+struct FB_EVENT {
+    int quantity, number, direction, ends_only, at_start;
+    long terminal;
+    double (*function)(void *of, double t, const double *x);
+    void *of;
+};
+struct FB_FOUND {
+    int event;
+    double t, x[N_X];
+};
+struct FB_EVENTS {
+    int n;
+    const struct FB_EVENT *event;
+    double *work;
+    struct FB_FOUND *found;
+    long room, n_found;
+    int ended_by;
+};
 #else
+/* The workspace of an event, in doubles: its values, at the points of a series, at the end, and scratch; itself; and
+ * its changes of sign. */
+typedef char fb_event_work_is_enough[(FB_MOST_DEGREE + 3) * sizeof(double) + sizeof(fb_event) +
+                                                 FB_MOST_CROSSINGS * sizeof(fb_found) <=
+                                             FB_PUBLIC(event_work) * sizeof(double)
+                                         ? 1
+                                         : -1];
 /* The memory that the header declares is large enough: otherwise this array has a negative size. */
 typedef char fb_memory_is_large_enough[sizeof(fb_own) <= sizeof(((struct FB_MODEL *)0)->memory) ? 1 : -1];
 #endif
@@ -148,6 +176,7 @@ static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
     run->watch.singular.least_pivot = pivot_of_run;
+    run->watch.n_events = run->watch.n_found = 0;
     return run;
 }
 
@@ -418,10 +447,96 @@ static int status_of_stop(fb_run *run, const int reason)
     return status != FB_OK ? status : reason == FB_RUN_PAUSED ? FB_TOO_MANY_STEPS : FB_STEP_TOO_SMALL;
 }
 
-int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
-                        const double *times, const long n_times, double *states)
+/* Calls an event's function of the caller. */
+static int call_event(void *events, const int number, const double t, const double *x, double *value)
+{
+    const struct FB_EVENT *const event = ((struct FB_EVENTS *)events)->event + number;
+    *value = event->function(event->of, t, x);
+    return 0;
+}
+
+/* The rows of each quantity. */
+static int has_quantity(const struct FB_EVENT *event)
+{
+    static const int rows[FB_N_WATCHEDS] = {
+        [FB_WATCHED_TIME] = 1,         [FB_WATCHED_STATE] = N_X, [FB_WATCHED_INPUT] = N_R,  [FB_WATCHED_OUTPUT] = N_O,
+        [FB_WATCHED_MULTIPLIER] = N_L, [FB_WATCHED_ENERGY] = 3,  [FB_WATCHED_MOMENTUM] = 9, [FB_WATCHED_CALLABLE] = 1};
+    const int quantity = event->quantity;
+    if (quantity < 0 || quantity >= FB_N_WATCHEDS || event->number < 0 || event->number >= rows[quantity])
+        return 0;
+    return (quantity != FB_WATCHED_CALLABLE || event->function != NULL) && event->terminal >= 0;
+}
+
+/* Makes a run look for events in the caller's memory; returns whether they are complete. */
+static int watch_events(fb_run *run, struct FB_EVENTS *events, double *scratch)
+{
+    fb_watch *const watch = &run->watch;
+    if (events == NULL)
+        return 1;
+    const int n = events->n;
+    if (n < 0 || (n > 0 && (events->event == NULL || events->work == NULL)) ||
+        (events->room > 0 && events->found == NULL))
+        return 0;
+    const size_t size = sizeof(fb_event) / sizeof(double);
+    double *const work = events->work;
+    watch->values = work;
+    watch->ends = work + (FB_MOST_DEGREE + 1) * n;
+    watch->polished = watch->ends + n;
+    watch->events = (fb_event *)(void *)(watch->polished + n);
+    watch->found = (fb_found *)(void *)(watch->polished + n + size * (size_t)n);
+    watch->scratch = scratch;
+    watch->call = call_event;
+    watch->caller = events;
+    watch->n_events = n;
+    for (int i = 0; i < n; ++i) {
+        const struct FB_EVENT *const event = events->event + i;
+        if (!has_quantity(event))
+            return 0;
+        watch->events[i] = (fb_event){.quantity = event->quantity,
+                                      .row = event->quantity == FB_WATCHED_CALLABLE ? i : event->number,
+                                      .direction = event->direction,
+                                      .terminal = event->terminal,
+                                      .at_start = event->at_start,
+                                      .all_roots = !event->ends_only,
+                                      .touched = NAN};
+    }
+    events->n_found = 0;
+    events->ended_by = -1;
+    return 1;
+}
+
+/* Stores the events found last; returns whether one of them ends the run, which is there then. */
+static int note_events(struct FB_MODEL *model, fb_run *run, struct FB_EVENTS *events)
+{
+    const fb_watch *const watch = &run->watch;
+    fb_stepper *const stepper = &run->stepper;
+    double t = stepper->t;
+    for (int k = 0; k < watch->n_found; ++k) {
+        t = fb_time_of_fraction(stepper, watch->found[k].fraction);
+        if (events->n_found < events->room) {
+            struct FB_FOUND *const found = events->found + events->n_found;
+            found->event = watch->found[k].event;
+            found->t = t;
+            fb_state_at(stepper, t, found->x);
+        }
+        events->n_found += 1;
+    }
+    if (watch->ended_by < 0)
+        return 0;
+    events->ended_by = watch->ended_by;
+    fb_stop_within(run, t);
+    run->watch.n_found = 0;
+    fb_run_on(run, 0); /* the samples before it */
+    fb_state_at(stepper, t, model->x);
+    model->t = t;
+    return 1;
+}
+
+int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
+                               const double *times, const long n_times, double *states, struct FB_EVENTS *events)
 {
     fb_own *const own = own_of(model);
+    double scratch[N_U + N_L + N_O + 12];
     own->clock = fb_all_time;
     if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0 && rtol < INFINITY) ||
         !(atol > 0.0 && atol < INFINITY))
@@ -429,6 +544,8 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
     fb_run *const run = run_of(model, fb_tableaus[model->method]);
     fb_stepper *const stepper = &run->stepper;
     const double begin = model->t;
+    if (!watch_events(run, events, scratch))
+        return FB_INVALID_ARGUMENT;
     if (N_MOTION_BREAKPOINTS > 0 && jumps_between(stepper->problem, begin, t_end))
         return FB_SPEEDS_JUMP;
     for (int i = 0; i < N_X; ++i) {
@@ -452,7 +569,9 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
         int reason;
         do
             reason = fb_run_on(run, FB_MAX_RUN_STEPS - stepper->n_steps);
-        while (reason == FB_RUN_COLLAPSED);
+        while (reason == FB_RUN_COLLAPSED || (reason == FB_RUN_EVENT && !note_events(model, run, events)));
+        if (reason == FB_RUN_EVENT)
+            return FB_OK;
         if (reason != FB_RUN_END) {
             reach(model, run, stepper->t);
             return status_of_stop(run, reason);
@@ -462,6 +581,12 @@ int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double
     }
     reach(model, run, t_end);
     return FB_OK;
+}
+
+int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
+                        const double *times, const long n_times, double *states)
+{
+    return FB_PUBLIC(simulate_events)(model, t_end, rtol, atol, times, n_times, states, NULL);
 }
 
 /* For the source of the derivatives. */

@@ -339,7 +339,9 @@ static inline int fb_find_events(fb_run *r)
     watch->n_found = 0;
     int status = watch->searched == 0.0 ? fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends) : 0;
     while (status >= 0 && watch->searched < 1.0 && watch->n_found == 0) {
-        fb_part_of_step part = {r, watch->searched, 1.0, 0};
+        /* a part that is next to a short one may be longer */
+        const double length = watch->searched > 0.0 ? 2.0 * watch->length : 1.0;
+        fb_part_of_step part = {r, watch->searched, fmin(watch->searched + length, 1.0), 0};
         for (;;) {
             status = fb_know_part(&part);
             if (status != 0 || part.end - part.begin <= FB_LEAST_PART)
@@ -348,6 +350,7 @@ static inline int fb_find_events(fb_run *r)
         }
         for (; status >= 0 && part.event < watch->n_events; ++part.event)
             status = fb_find_events_of(&part);
+        watch->length = part.end - part.begin;
         watch->searched = part.end;
     }
     if (status < 0)

@@ -53,7 +53,8 @@ typedef struct fb_watch {
     double *polished; /* (n_events,), scratch */
     double *scratch;  /* (n_u + n_l + n_o + 12,) */
     int n_found;
-    double searched; /* the fraction of the last step in which all events were found */
+    double searched; /* the fraction of the last step in which all events were found, ... */
+    double length;   /* ... and that of its last part */
     int ended_by;    /* the number of the event that ends the run, or -1 */
     fb_called_event *call;
     void *caller;

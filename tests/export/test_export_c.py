@@ -277,6 +277,26 @@ def test_c_library_finds_the_events_of_simulate(exported, method):
             assert events.found[3 - 1].t > 0.0
 
 
+def test_c_library_has_events_of_all_quantities(exported):
+    """Of the slider-crank: a force in its pin, its energy, momentum, and the multipliers of its loop."""
+    compiled, library = exported("slider_crank")
+    x = compiled.initial_state({"crank": 0.5}, {"crank_rate": 3.0})
+    names = ("pin_x", "kinetic_energy", "momentum_y", "lambda1", "slide_rate", "load")
+    numbers = [(Watched.OUTPUT, 0), (Watched.ENERGY, 0), (Watched.MOMENTUM, 1), (Watched.MULTIPLIER, 0)]
+    numbers += [(Watched.STATE, 5), (Watched.INPUT, 1)]
+    mechanism = library.new()
+    mechanism.x[:] = x
+    events = library.events(*({"quantity": quantity, "number": number} for quantity, number in numbers))
+    arguments = (3.0, 1e-9, 1e-9, None, 0, None, ctypes.byref(events))
+    assert library.call("simulate_events", mechanism, *arguments) == 0
+    run = compiled.simulate((0.0, 3.0), x, events=list(names), rtol=1e-9, atol=1e-9)
+    found = [(events.found[k].t, events.found[k].event) for k in range(events.n_found)]
+    expected = sorted((t, i) for i, at in enumerate(run.t_events) for t in at)
+    assert [i for _, i in found] == [i for _, i in expected]
+    assert {0, 2, 4} <= {i for _, i in found}
+    np.testing.assert_allclose([t for t, _ in found], [t for t, _ in expected], rtol=0, atol=1e-10)
+
+
 def test_c_library_run_ends_at_a_terminal_event(exported):
     compiled, library = exported("four_bar")
     x, times = compiled.initial_state(), np.linspace(0.0, 4.0, 41)

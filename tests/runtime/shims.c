@@ -106,7 +106,7 @@ int changes_of_sign(int n, const double *c, double error, double *low, double *h
     fb_series series = {.n = n, .error = error};
     memcpy(series.c, c, (size_t)(n + 1) * sizeof *c);
     fb_walk walk;
-    fb_begin_walk(&walk, 0, 0);
+    fb_begin_walk(&walk, 0, 0, 0.0);
     fb_walk_to(&walk, -1.0, fb_chebyshev_value(n, c, -1.0), error);
     fb_walk_along(&walk, &series);
     fb_walk_to(&walk, 1.0, fb_chebyshev_value(n, c, 1.0), error);
@@ -263,7 +263,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
         s->tolerances[WIDTH + i] = atol;
     }
     r->direction = t_bound >= t ? 1.0 : -1.0;
-    r->t_bound = t_bound;
+    r->t_bound = r->t_end = t_bound;
     r->max_step = max_step;
     r->samples.until = r->direction * INFINITY;
     r->samples.t = s->sample_t;

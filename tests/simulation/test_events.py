@@ -1,5 +1,6 @@
 """Events: all roots within a step, in all methods, and where functions begin at zero."""
 
+import math
 import warnings
 
 import numpy as np
@@ -244,3 +245,100 @@ def test_quantities_are_events_by_their_names(oscillator, name, value):
 def test_what_cannot_be_an_event_is_refused_with_what_can(oscillator):
     with pytest.raises(fb.ModelError, match=r"names of quantities \(x, v, t, kinetic_energy.*not 'speed'"):
         oscillator.simulate((0.0, 1.0), [1.0, 0.0], events="speed")
+
+
+@pytest.fixture(scope="module")
+def mass():
+    """q'' = F / m with m = 1."""
+    m = sm.Symbol("m")
+    q, u, force = me.dynamicsymbols("q u F")
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    place = origin.locatenew("P", q * frame.x)
+    place.set_vel(frame, u * frame.x)
+    method = me.KanesMethod(frame, [q], [u], kd_eqs=[u - q.diff()])
+    method.kanes_equations([me.Particle("P", place, m)], [(place, force * frame.x)])
+    return fb.compile_model(fb.Model(method, parameters={m: 1.0}, inputs={force: 0}))
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau", "BDF", "LSODA"])
+def test_a_start_at_rest_on_the_surface_is_no_event_however_slowly_it_is_left(mass, method):
+    """x - 0.3 = F t^2 / 2 has a double root at the start, and rounding errors of 0.3 in the first steps."""
+    for force in np.geomspace(1e-3, 1e4, 15):
+        for start in (0.3, np.nextafter(0.3, 0.0), 0.3 - 2.2e-16):
+            how = {"method": method, "inputs": {"F": force}, "events": lambda t, x: x[0] - 0.3}
+            assert mass.simulate((0.0, 1.0), [start, 0.0], **how).t_events[0].size == 0
+
+
+@pytest.mark.parametrize("method", ["BDF", "LSODA"])
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
+def test_jumps_between_interpolants_of_multistep_methods_are_no_events(four_bar, method, tolerance):
+    """Chained runs of one event; the interpolant of a step does not begin where the last one ends."""
+    how = {"rtol": tolerance, "atol": tolerance, "method": method}
+    for offset in np.linspace(1.1, 1.6, 20):
+        event = fb.Event(lambda t, x, offset=offset: x[0] + offset, terminal=True)
+        exact = four_bar.simulate((0.0, 4.0), events=event.function, rtol=1e-10, atol=1e-10).t_events[0]
+        first = four_bar.simulate((0.0, 4.0), events=event, **how)
+        second = four_bar.simulate((first.t[-1], 4.0), first.y[:, -1], events=event, **how)
+        # the error of the run over a speed of 0.1 rad/s or more
+        np.testing.assert_allclose([first.t[-1], second.t[-1]], exact[:2], rtol=0.0, atol=200.0 * tolerance)
+
+
+def test_an_event_where_two_runs_meet_is_in_one_of_them(mass):
+    for rate in np.linspace(1.0, 20.0, 40):
+        for k in (1, 2):
+            join, end = k * np.pi / rate, (k + 0.9) * np.pi / rate
+
+            def function(t, x, rate=rate):
+                return np.sin(rate * t)
+
+            before = mass.simulate((0.0, join), [0.0, 1.0], events=function).t_events[0]
+            after = mass.simulate((join, end), [join, 1.0], events=function).t_events[0]
+            assert len(before) + len(after) == k
+
+
+def test_a_zero_at_a_breakpoint_is_an_event_if_the_sign_changes(mass):
+    """Steps end at breakpoints, where a run goes on."""
+    kinked = {"F": ([0.0, 0.25, 0.5, 0.75, 1.0], [1.0, 0.0, 1.0, 0.0, -1.0])}
+    for begin, end in ((0.0, 1.0), (1.0, 0.0)):
+        run = mass.simulate((begin, end), [0.0, 1.0], inputs=kinked, events="F", rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(run.t_events[0], [0.75], rtol=0.0, atol=1e-15)
+        assert "F is zero at t = 0.25" in run.message
+    touching = fb.Event(lambda t, x: (t - 0.5) ** 2, terminal=True, direction=-1)
+    assert mass.simulate((0.0, 1.0), [0.0, 1.0], inputs=kinked, events=touching).t_events[0].size == 0
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "LSODA"])
+def test_a_state_that_touches_zero_at_a_breakpoint_within_rounding_errors_has_no_event(mass, method):
+    """u = 1 - 2 t, then slopes of -4, 2 and -1: zero at 0.375, and at 0.75 with negative values on both sides."""
+    forces = {"F": ([0.0, 0.25, 0.5, 0.75, 1.0], [-2.0, -4.0, 2.0, -1.0, 0.0], "hold")}
+    run = mass.simulate((0.0, 1.0), [0.0, 1.0], inputs=forces, events="u", method=method, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(run.t_events[0], [0.375], rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("max_step", [np.inf, 0.1, 0.01])
+def test_a_function_that_becomes_zero_and_stays_so_has_an_event_where_that_begins(mass, max_step):
+    run = mass.simulate(
+        (0.0, 1.0), [0.0, 1.0], events=fb.Event(lambda t, x: max(0.75 - t, 0.0), terminal=True), max_step=max_step
+    )
+    np.testing.assert_allclose(run.t_events[0], [0.75], rtol=0.0, atol=SPACING)
+    assert run.t[-1] == run.t_events[0][0]
+
+
+def test_hundreds_of_roots_in_one_step_are_found(mass):
+    run = mass.simulate((0.0, 10.0), [0.0, 1.0], events=lambda t, x: np.sin(1000.0 * t))
+    assert len(run.t) < 10
+    np.testing.assert_allclose(run.t_events[0], np.arange(1, 3184) * np.pi / 1000.0, rtol=0.0, atol=SPACING)
+
+
+def test_functions_may_have_no_value_beside_the_run_and_within_it(mass):
+    """1 - q = 1 + t is never negative, but it is beside the start; NaN is no zero."""
+    rooted = mass.simulate((0.0, 1.0), [1.0, -1.0], events=lambda t, x: math.sqrt(1.0 - x[0]) - 0.5)
+    np.testing.assert_allclose(rooted.t_events[0], [0.25], rtol=0.0, atol=SPACING)
+    holes = mass.simulate((0.0, 1.0), [0.0, 1.0], events=lambda t, x: np.nan if 0.4 < t < 0.6 else 1.0)
+    assert "zero" not in holes.message
+
+
+def test_what_touches_zero_after_the_end_is_not_said(mass):
+    events = [fb.Event(lambda t, x: t - 0.5, terminal=True), lambda t, x: (t - 0.7) ** 2]
+    assert mass.simulate((0.0, 1.0), [0.0, 1.0], events=events).message == "A termination event occurred."

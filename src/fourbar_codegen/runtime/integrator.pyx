@@ -102,13 +102,14 @@ cdef extern from "run/driver.h":
         int n_found, ended_by
         fb_called_event *call
         void *caller
+        int probes
         double *along
         int look_at_all, toggled
     ctypedef struct fb_observer:
         fb_observer *next
     ctypedef struct fb_run:
         fb_stepper stepper
-        double direction, t_bound, max_step, h_abs
+        double direction, t_bound, t_end, max_step, h_abs
         fb_samples samples
         fb_watch watch
         fb_observer *observers
@@ -784,6 +785,9 @@ cdef int _call_event(void *caller, int place, double since, const double *x, dou
         value[0] = number(run.called_events[place](run._at(since), state), "The value of an event's callable")
         return 0
     except BaseException as error:
+        if run.run.watch.probes and isinstance(error, Exception):
+            value[0] = NAN
+            return 0
         run.ode.error = error
         return -1
 
@@ -873,7 +877,7 @@ cdef class Run:
         watch.along = memory + 2 * n
         memcpy(stepper.x, data(state), n * sizeof(double))
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
-        run.samples.until = run.t_bound
+        run.samples.until = run.t_end = run.t_bound
         if times is not None:
             run.samples.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
             run.samples.n_times = np.size(times)

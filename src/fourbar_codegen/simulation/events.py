@@ -186,10 +186,11 @@ class Watch:
             self.states[i].append(run.state_within(share))
         return found[-1][1] if found and run.ended_by >= 0 else None
 
-    def touched(self, run: Run) -> str:
-        """Sentences on functions that were zero without a change of sign."""
+    def touched(self, run: Run, begin: float, end: float) -> str:
+        """Sentences on functions that were zero without a change of sign, in a run from one time to another."""
         named = zip(self.events, run.touched, strict=True)
-        return "".join(TOUCHED.format(_name(event), t) for event, t in named if math.isfinite(t))
+        within = [(event, t) for event, t in named if min(begin, end) <= t <= max(begin, end)]
+        return "".join(dict.fromkeys(TOUCHED.format(_name(event), t) for event, t in within))
 
     def _slope(self, run: Run, i: int, share: float) -> float:
         """The derivative of an event function over time, by a difference of order 4 along the interpolant.

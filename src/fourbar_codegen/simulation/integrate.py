@@ -333,9 +333,9 @@ class _Integration:
         if options.project and model.layout.constraints.are_stated and status >= 0:
             sentence = left(model, self.ode, input_times, y, options.parameters)
             status, message = (-1, sentence) if sentence else (status, message)
-        message += self.watch.touched(self.run) if self.watch else ""
+        end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
+        message += self.watch.touched(self.run, options.t_span[0], end[0]) if self.watch else ""
         if not self.singular:  # near singular positions speeds grow for that reason
-            end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
             message += _growth(self.ode, input_times, y, end, by_steps=self.t_eval is None)
         return status, message
 

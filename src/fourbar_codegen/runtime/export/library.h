@@ -553,6 +553,7 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
         own->atol[i] = atol;
     }
     run->direction = t_end >= begin ? 1.0 : -1.0;
+    run->t_end = t_end;
     run->max_step = INFINITY;
     run->samples =
         (fb_samples){.times = times ? times : &begin, .n_times = n_times, .x = states, .room = n_times, .pending = 1};

@@ -142,8 +142,18 @@ static inline void fb_problem_results(const fb_problem *s, const enum FB_ROLE ro
                                       const double *accelerations, const double *multipliers,
                                       const double *const *arguments, double *const *results)
 {
+#ifdef FB_LIBRARY /* which has no table */
+    (void)arguments;
+    if (role == FB_OUTPUT)
+        output(t, x, s->constants, s->inputs, accelerations, multipliers, results[0]);
+    else if (role == FB_ENERGY)
+        energy(t, x, s->constants, s->inputs, results[0]);
+    else if (role == FB_MOMENTA)
+        momenta(t, x, s->constants, s->inputs, results[0], results[1], results[2]);
+#else
     const fb_at at = {t, x, s->constants, s->inputs, accelerations, multipliers, 0};
     s->kernel->functions[role].call(&at, arguments, results, s->work);
+#endif
 }
 
 /* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse NaN. x' is NaN there, and fails

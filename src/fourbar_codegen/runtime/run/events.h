@@ -4,8 +4,8 @@
  * doubled until it is known. Where the series changes its sign, a root of the function itself is solved for, at states
  * that satisfy the constraints.
  *
- * At a start, and where a run goes on after a discontinuity, rounding errors may put a function on either side of zero.
- * A value that may consist of them counts as zero, and zero has no sign: an event is a change between two signs.
+ * At both ends of a segment rounding errors may put a function on either side of zero. A value that may consist of them
+ * counts as zero, and zero has no sign: an event is a change between two signs.
  */
 #ifndef FOURBAR_EVENTS_H
 #define FOURBAR_EVENTS_H
@@ -25,7 +25,10 @@
 
 /* A part of a step in which a function has no series is halved if it is longer than this fraction of the step;
  * otherwise the signs at its points decide. */
-#define FB_LEAST_PART (1.0 / 64.0)
+#define FB_LEAST_PART (1.0 / 1024.0)
+
+/* A function that is zero at the end of a part, y = 1, and before this place, stays zero. */
+#define FB_BEFORE_END (1.0 - 1e-6)
 
 /* A jump of a function at a discontinuity is larger than this fraction of its change over the step before. */
 #define FB_CONTINUOUS_RTOL 1e-9
@@ -65,7 +68,8 @@ static inline int fb_event_values(fb_run *r, const double since, const double *x
     }
     if (needs & 1U << FB_WATCHED_MOMENTUM)
         fb_problem_results(p, FB_MOMENTA, t, x, NULL, NULL, NULL, found);
-    const double *const quantities[] = {&t, x, p->inputs, outputs, multipliers, energies, momenta};
+    const double time = p->clock.origin + since;
+    const double *const quantities[] = {&time, x, p->inputs, outputs, multipliers, energies, momenta};
     for (int i = 0; i < watch->n_events; ++i) {
         const fb_event *const e = watch->events + i;
         if (!fb_is_asked(e, i, which))
@@ -81,41 +85,60 @@ static inline int fb_event_values(fb_run *r, const double since, const double *x
     return 0;
 }
 
-/* Evaluates the functions at the state where a run begins or goes on; values that may be rounding errors become zero.
- */
-static inline int fb_begin_events(fb_run *r)
+/* The functions at the state reached, at the beginning or the end of a segment; a value that may be a rounding error
+ * becomes zero. The changes of values by the tolerances of the state are stored, too. */
+static inline int fb_event_values_at_end(fb_run *r, const int is_begin, double *values, double *tolerances)
 {
     fb_watch *const watch = &r->watch;
     fb_stepper *const s = &r->stepper;
     const int n = watch->n_events;
-    double *const begin = watch->values, *const there = begin + n, *const size = there + n;
-    double *const x = watch->along;
-    if (n == 0)
+    double *const there = watch->values + n, *const size = there + n, *const x = watch->along;
+    int status = fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, values);
+    for (int i = 0; i < n; ++i)
+        size[i] = tolerances[i] = 0.0;
+    for (int j = -1; j < s->n && status >= 0; ++j) { /* t, then the state */
+        const double term = fabs(j < 0 ? s->problem->clock.origin + s->t : s->x[j]);
+        const double tolerance = j < 0 || !s->atol ? 0.0 : s->atol[j] + s->rtol[j] * term;
+        const double change = FB_TERM_CHANGE * (term + tolerance);
+        double t = s->t;
+        if (!(change > 0.0))
+            continue;
+        memcpy(x, s->x, (size_t)s->n * sizeof *x);
+        *(j < 0 ? &t : x + j) += is_begin ? r->direction * change : -r->direction * change;
+        watch->probes = 1;
+        status = fb_event_values(r, t, x, FB_ALL_EVENTS, there);
+        watch->probes = 0;
+        for (int i = 0; i < n; ++i) {
+            const double slope = fabs(there[i] - values[i]) / change;
+            if (slope < INFINITY) {
+                size[i] += slope * term;
+                tolerances[i] += slope * tolerance;
+            }
+        }
+    }
+    for (int i = 0; i < n; ++i)
+        if (fabs(values[i]) <= FB_ROUNDING_RTOL * size[i])
+            values[i] = 0.0;
+    return status;
+}
+
+/* Evaluates the functions where a run begins or goes on. */
+static inline int fb_begin_events(fb_run *r)
+{
+    fb_watch *const watch = &r->watch;
+    double *const begin = watch->ends, *const tolerances = watch->polished;
+    if (watch->n_events == 0)
         return 0;
-    int status = fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, begin);
+    const int status = fb_event_values_at_end(r, 1, begin, tolerances);
     if (status < 0)
         return status;
-    for (int i = 0; i < n; ++i)
-        size[i] = 0.0;
-    for (int j = -1; j < s->n; ++j) { /* t, then the state */
-        const double term = j < 0 ? s->problem->clock.origin + s->t : s->x[j];
-        double t = s->t;
-        memcpy(x, s->x, (size_t)s->n * sizeof *x);
-        *(j < 0 ? &t : x + j) += FB_TERM_CHANGE * term;
-        if (term == 0.0)
-            continue;
-        status = fb_event_values(r, t, x, FB_ALL_EVENTS, there);
-        if (status < 0)
-            return status;
-        for (int i = 0; i < n; ++i)
-            size[i] += fabs(there[i] - begin[i]) / FB_TERM_CHANGE;
-    }
-    for (int i = 0; i < n; ++i) {
+    for (int i = 0; i < watch->n_events; ++i) {
         fb_event *const e = watch->events + i;
         e->jumps = e->sign != 0 && !(fabs(begin[i] - e->value) <= FB_CONTINUOUS_RTOL * e->change);
-        const int is_rounding = fabs(begin[i]) <= FB_ROUNDING_RTOL * size[i];
-        e->value = is_rounding && !e->at_start ? 0.0 : begin[i];
+        e->value = fabs(begin[i]) <= FB_ROUNDING_RTOL * e->change ? 0.0 : begin[i];
         e->begins = e->sign == 0 && !e->at_start;
+        e->left = e->begins && e->value == 0.0 ? tolerances[i] : 0.0;
+        e->mismatch = 0.0;
     }
     return 0;
 }
@@ -212,6 +235,30 @@ static inline int fb_know_part(const fb_part_of_step *part)
     return open == 0;
 }
 
+/* Between steps of methods with a step control of their own, interpolants may jump: by how much the functions differ
+ * from those of the states at both ends. */
+static inline int fb_find_mismatch(fb_run *r)
+{
+    fb_watch *const watch = &r->watch;
+    fb_stepper *const s = &r->stepper;
+    for (int i = 0; i < watch->n_events; ++i)
+        watch->events[i].mismatch = 0.0;
+    for (int end = 0; end < 2; ++end) {
+        const double t = end ? s->t : s->t_old;
+        int status = s->method->interpolate(s, t, watch->along);
+        if (status >= 0)
+            status = fb_event_values(r, t, watch->along, FB_ALL_ROOTS, watch->values);
+        if (status < 0)
+            return status;
+        for (int i = 0; i < watch->n_events; ++i) {
+            fb_event *const e = watch->events + i;
+            if (e->all_roots)
+                e->mismatch = fmax(e->mismatch, fabs(watch->values[i] - (end ? watch->ends[i] : e->value)));
+        }
+    }
+    return 0;
+}
+
 /* A root of the part's event function where it crosses zero: with a series, near the root of that. */
 static inline int fb_solve_for_root(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series, double *root)
 {
@@ -279,16 +326,36 @@ static inline int fb_is_at_start(const fb_run *r, const double fraction)
     return fabs(fraction * r->stepper.h) <= FB_ROUNDING_RTOL * latest;
 }
 
+/* Zero at the end of a part is an event at the end of the run, and where the function stays zero. */
+static inline int fb_find_last_zero(fb_part_of_step *part, fb_walk *walk)
+{
+    fb_run *const r = part->run;
+    const fb_event *const e = r->watch.events + part->event;
+    double root;
+    if (walk->sign == 0)
+        return 0;
+    const int status = fb_find_zero(part, walk->from, walk->sign, &root);
+    const int is_end = part->end == 1.0 && r->stepper.t == r->t_end;
+    if (status < 0 || !(is_end || root < FB_BEFORE_END))
+        return status;
+    if (e->direction * walk->sign <= 0)
+        fb_add_event(&r->watch, (fb_found){part->event, 0, fb_fraction(part, root)});
+    walk->sign = 0;
+    return 0;
+}
+
 /* Finds the events of one function in a part whose series are known. */
 static inline int fb_find_events_of(fb_part_of_step *part)
 {
     fb_run *const r = part->run;
     fb_watch *const watch = &r->watch;
     fb_event *const e = watch->events + part->event;
-    const double end = watch->values[part->event];
+    const int ends = part->end == 1.0 && r->stepper.t == r->t_bound;
+    const double at_end = watch->values[part->event];
+    const double end = ends && fabs(at_end) <= FB_ROUNDING_RTOL * fabs(e->value) ? 0.0 : at_end;
     fb_series series;
     fb_walk walk;
-    fb_begin_walk(&walk, e->sign, e->at_start);
+    fb_begin_walk(&walk, e->sign, e->at_start, fmax(e->left, e->mismatch));
     fb_walk_to(&walk, -1.0, e->value, 0.0);
     if (e->degree > 0) {
         fb_series_of(watch, part->event, e->degree, &series);
@@ -310,16 +377,13 @@ static inline int fb_find_events_of(fb_part_of_step *part)
         const int jumps = crossing->low == crossing->high && e->jumps;
         fb_add_event(watch, (fb_found){part->event, jumps, fb_fraction(part, root)});
     }
-    /* Zero counts where the run ends. */
-    if (part->end == 1.0 && r->stepper.t == r->t_bound && end == 0.0 && walk.sign != 0) {
-        double root;
-        const int status = fb_find_zero(part, walk.from, walk.sign, &root);
+    if (end == 0.0) {
+        const int status = fb_find_last_zero(part, &walk);
         if (status < 0)
             return status;
-        if (e->direction * walk.sign <= 0)
-            fb_add_event(watch, (fb_found){part->event, 0, fb_fraction(part, root)});
-        walk.sign = 0;
     }
+    if (walk.sign != 0)
+        e->left = 0.0;
     e->at_start &= walk.sign == 0;
     e->begins = 0;
     if (walk.touched == walk.touched)
@@ -337,7 +401,13 @@ static inline int fb_find_events(fb_run *r)
     fb_watch *const watch = &r->watch;
     fb_stepper *const s = &r->stepper;
     watch->n_found = 0;
-    int status = watch->searched == 0.0 ? fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends) : 0;
+    int status = 0;
+    if (watch->searched == 0.0) {
+        status = s->t == r->t_bound ? fb_event_values_at_end(r, 0, watch->ends, watch->polished)
+                                    : fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends);
+        if (status >= 0 && s->method->advance)
+            status = fb_find_mismatch(r);
+    }
     while (status >= 0 && watch->searched < 1.0 && watch->n_found == 0) {
         /* a part that is next to a short one may be longer */
         const double length = watch->searched > 0.0 ? 2.0 * watch->length : 1.0;

@@ -36,19 +36,22 @@ typedef struct fb_crossing {
 /* A walk along a step, over places at which the sign is known. */
 typedef struct fb_walk {
     int sign, counts; /* the last sign, 0 before the first one; whether that is a change of sign */
-    double from;      /* the place of the last sign */
-    int doubtful;     /* whether the function has been zero since then, to within its error */
-    double doubt;     /* where it was */
-    double touched;   /* where it was, and then had the same sign as before; or NaN */
+    double threshold;
+    double from;    /* the place of the last sign */
+    int doubtful;   /* whether the function has been zero since then, to within its error */
+    double doubt;   /* where it was */
+    double touched; /* where it was, and then had the same sign as before; or NaN */
     int n;
     fb_crossing found[FB_MOST_CROSSINGS];
 } fb_walk;
 
-/* Begins at y = -1 with the last sign; `counts` is whether a first sign is a change of it. */
-static inline void fb_begin_walk(fb_walk *w, const int sign, const int counts)
+/* Begins at y = -1 with the last sign; `counts` is whether a first sign is a change of it. Values up to the threshold
+ * have no sign. */
+static inline void fb_begin_walk(fb_walk *w, const int sign, const int counts, const double threshold)
 {
     w->sign = sign;
     w->counts = counts;
+    w->threshold = threshold;
     w->from = -1.0;
     w->doubtful = w->n = 0;
     w->touched = NAN;
@@ -57,11 +60,12 @@ static inline void fb_begin_walk(fb_walk *w, const int sign, const int counts)
 /* Takes note of a value, whose sign is known if it is larger than its error. */
 static inline void fb_walk_to(fb_walk *w, const double y, const double value, const double error)
 {
-    if (!(fabs(value) > error)) {
+    if (fabs(value) <= error) {
         w->doubtful = 1;
         w->doubt = y;
-        return;
     }
+    if (!(fabs(value) > fmax(error, w->threshold))) /* also if it is NaN */
+        return;
     const int sign = value > 0.0 ? 1 : -1;
     const int is_first = w->sign == 0;
     if ((is_first ? w->counts && w->doubtful : sign != w->sign) && w->n < FB_MOST_CROSSINGS)

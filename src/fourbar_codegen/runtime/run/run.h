@@ -32,6 +32,8 @@ typedef struct fb_event {
     int32_t begins, jumps; /* whether a run has begun, and whether the function has jumped where it goes on */
     int32_t degree;        /* of its series in a part of a step; 0 if none is needed, -1 if none is known */
     double value, change;  /* at the end of what was searched of the last step, and the change there */
+    double left;           /* how large it becomes where it leaves zero after a start */
+    double mismatch;       /* between the ends of a step and its interpolant */
     int64_t n_found;
     double touched; /* the last time at which it was zero and had the same sign before and after, or NaN */
 } fb_event;
@@ -58,6 +60,7 @@ typedef struct fb_watch {
     int ended_by;    /* the number of the event that ends the run, or -1 */
     fb_called_event *call;
     void *caller;
+    int probes;      /* whether functions are evaluated beside the run, where they may have no value */
     double *along;   /* (2, padded): a state within the last step, and x' there */
     int look_at_all; /* whether to examine every step */
     int toggled;     /* whether the sign of det J_d has changed in the last step */
@@ -90,8 +93,8 @@ typedef struct fb_observer {
 
 typedef struct fb_run {
     fb_stepper stepper;
-    double direction, t_bound, max_step;
-    double h_abs; /* the proposal for the next step */
+    double direction, t_bound, t_end, max_step; /* the end of the segment, and of the run */
+    double h_abs;                               /* the proposal for the next step */
     fb_samples samples;
     fb_watch watch;
     fb_pace pace;

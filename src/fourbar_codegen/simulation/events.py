@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -115,25 +115,25 @@ def watched_quantity(model: Kernel, name: str) -> tuple[Watched, int]:
     ModelError
         If there is none, or its value is not known.
     """
-    multipliers = tuple(f"lambda{i}" for i in range(1, model.n_l + 1))
-    momenta = tuple(component for vector in QUANTITIES[Role.MOMENTA] for component in vector.components)
-    tables = {
-        Watched.STATE: model.states,
-        Watched.INPUT: model.inputs,
-        Watched.OUTPUT: model.outputs,
-        Watched.TIME: ("t",),
-        Watched.MULTIPLIER: multipliers,
-        Watched.ENERGY: ("kinetic_energy", "potential_energy", "energy"),
-        Watched.MOMENTUM: momenta,
-    }
-    for quantity, names in tables.items():
+    for quantity, names in _quantities(model):
         if name in names:
-            row = tuple(names).index(name)
+            row = names.index(name)
             if quantity is Watched.ENERGY and row > 0 and not model.layout.potential_energy.is_known:
                 raise ModelError(f"The potential energy of {model.name} is not known: {name} cannot be an event.")
             return quantity, row
-    known = ", ".join(dict.fromkeys(each for names in tables.values() for each in names))
+    known = ", ".join(dict.fromkeys(each for _, names in _quantities(model) for each in names))
     raise ModelError(f"events are callables of (t, x) or names of quantities ({known}), not {shown(name)}.")
+
+
+def _quantities(model: Kernel) -> Iterator[tuple[Watched, Sequence[str]]]:
+    """The names of all scalar quantities, in the order in which they count."""
+    yield Watched.STATE, model.states
+    yield Watched.INPUT, model.inputs
+    yield Watched.OUTPUT, model.outputs
+    yield Watched.TIME, ("t",)
+    yield Watched.MULTIPLIER, [f"lambda{i}" for i in range(1, model.n_l + 1)]
+    yield Watched.ENERGY, ("kinetic_energy", "potential_energy", "energy")
+    yield Watched.MOMENTUM, [component for vector in QUANTITIES[Role.MOMENTA] for component in vector.components]
 
 
 class _Slopes(NamedTuple):

@@ -378,7 +378,7 @@ def _of_events(
     time changes by S + x' dt/dp.
     """
     n, p, inputs = directions.matrix.shape[1], options.parameters, options.inputs or {}
-    found: list[dict[str, EventSensitivity]] = []
+    found = []
     for place, event in enumerate(watch.events):
         times, states = watch.times[place], watch.states[place]
         of_times, of_states = np.zeros((n, len(times))), np.zeros((n, model.n_x, len(times)))
@@ -399,7 +399,7 @@ def _of_events(
                 )[:, row, 0]
             else:
                 changes = by[:, row]
-            of_times[:, i] = -changes / (slope or math.nan)  # 0 for an output that is constantly zero
+            of_times[:, i] = -changes / (slope or math.nan)  # 0 at a multiple root
             of_states[..., i] = by + np.outer(of_times[:, i], rates)
         by_names = zip(directions.by_name(of_times).items(), directions.by_name(of_states).values(), strict=True)
         found.append({name: EventSensitivity(of_time, of_state) for (name, of_time), of_state in by_names})

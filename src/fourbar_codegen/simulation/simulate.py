@@ -88,13 +88,12 @@ def _check_differentiable(model: Kernel, options: RunOptions) -> None:
                 ModelWarning,
                 stacklevel=4,
             )
-    for event in options.events or () if options.sensitivities else ():
-        known = not callable(event.function) and event.function in (*model.states, *model.outputs)
-        if not known:
-            raise ModelError(
-                "Times of events have derivatives if these are of states or outputs: make the function an output of "
-                "the model."
-            )
+    known = (*model.states, *model.outputs)
+    if options.sensitivities and not all(event.function in known for event in options.events or ()):
+        raise ModelError(
+            "Times of events have derivatives if these are of states or outputs: make the function an output of the "
+            "model."
+        )
     for key, source in (options.inputs or {}).items():
         if callable(source):
             raise ModelError(f"Input {name_of(key)} is a callable, whose derivatives are not known: use a table.")

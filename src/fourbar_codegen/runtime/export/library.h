@@ -176,7 +176,6 @@ static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
     run->watch.singular.least_pivot = pivot_of_run;
-    run->watch.n_events = run->watch.n_found = 0;
     return run;
 }
 
@@ -471,6 +470,7 @@ static int has_quantity(const struct FB_EVENT *event)
 static int watch_events(fb_run *run, struct FB_EVENTS *events, double *scratch)
 {
     fb_watch *const watch = &run->watch;
+    watch->n_events = 0;
     if (events == NULL)
         return 1;
     const int n = events->n;
@@ -525,7 +525,6 @@ static int note_events(struct FB_MODEL *model, fb_run *run, struct FB_EVENTS *ev
         return 0;
     events->ended_by = watch->ended_by;
     fb_stop_within(run, t);
-    run->watch.n_found = 0;
     fb_run_on(run, 0); /* the samples before it */
     fb_state_at(stepper, t, model->x);
     model->t = t;

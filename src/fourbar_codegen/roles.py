@@ -18,6 +18,7 @@ __all__ = [
     "Needs",
     "Quantity",
     "Role",
+    "Singular",
     "Status",
     "StopReason",
     "Threshold",
@@ -82,13 +83,13 @@ class StopReason(_Enum):
     END = 0, "t_bound is reached"
     PAUSED = 1, "as many steps as asked for"
     FULL = 2, "no room for another sample, or for another step to keep"
-    EVENT = 3, "a step to examine: an event function, or det J_d, may have changed its sign"
+    EVENT = 3, "events were found in the last step, or it is to be examined"
     TOO_SMALL = 4, "the step control asks for less than the spacing of doubles"
     INFINITE = 5, "the step's length is not finite"
     COLLAPSED = 6, "steps have become much smaller than they were on average"
     DIVERGED = 7, "the equations of an implicit step could not be solved"
     OPEN = 8, "the constraint violation is too large to be corrected: after a step by Python's solvers, or after a jump"
-    SINGULAR = 9, "a singular position is reached, in runs that look for these themselves"
+    SINGULAR = 9, "a singular position is reached"
     FAILED = 10, "a method with its own step control has failed, and says why"
 
 
@@ -103,6 +104,16 @@ class Watched(_Enum):
     ENERGY = 5, "kinetic, potential, total"
     MOMENTUM = 6, "momentum, angular momentum and spin: three components each"
     CALLABLE = 7, "a function of the caller"
+
+
+class Singular(_Enum):
+    """How a run has met a singular position."""
+
+    PASSED = 0, "a step passes it"
+    JUMPED = 1, "a step has jumped past it, to another assembly mode"
+    COLLAPSED = 2, "steps collapse or fail there"
+    VARIED = 3, "steps collapse near it, because of derivatives"
+    NEAR = 4, "a step fails near it"
 
 
 class Threshold(float, Enum):
@@ -128,6 +139,11 @@ class Threshold(float, Enum):
         4.0,
         "Times that differ by so many spacings of the latest of them are equal but for rounding errors.",
     )
+    # Of singular positions: the least pivot of J, relative to its geometric mean over a run, is below ...
+    PASSED_RATIO = 1e-4, "... within a step after which the sign of det J_d is another one;"
+    COLLAPSED_RATIO = 1e-3, "... where steps collapse or fail;"
+    VARIED_RATIO = 3e-2, "... where steps collapse because of derivatives, whose rounding errors grow earlier;"
+    NEAR_RATIO = 0.3, "... where a step fails although the equations can be evaluated."
     JUMP_RTOL = 1e-9, "Changes between times that are equal so are jumps if they are larger than this fraction ..."
     STEADY_RATIO = 10.0, "... and than so many times the changes on both sides, since large times are widely spaced."
 
@@ -260,6 +276,7 @@ def enums_text() -> str:
         (Role, "FB_ROLE", "FB"),
         (Needs, "FB_NEEDS", "FB_NEEDS"),
         (Watched, "FB_WATCHED", "FB_WATCHED"),
+        (Singular, "FB_SINGULAR", "FB_SINGULAR"),
     )
     for kind, name, prefix in kinds:
         rows = [f"    {prefix}_{member.name.upper()} = {member.value}, /* {member.comment} */" for member in kind]

@@ -127,7 +127,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     fb_run s = {.direction = 1.0, .t_bound = 0.5, .max_step = INFINITY};
     fb_stepper *const stepper = &s.stepper;
     const size_t length = fb_place_stepper(stepper, steps_of, method, n, NULL);
-    double *const state = calloc(length + 2 * (size_t)padded, sizeof(double)), *const tolerance = doubles(n);
+    double *const state = calloc(length + 3 * (size_t)padded, sizeof(double)), *const tolerance = doubles(n);
     double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
     k->prepare(p, problem.constants);
     for (int i = 0; i < n; ++i)
@@ -140,6 +140,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     stepper->project = k->n_c > 0;
     memcpy(stepper->x, x0, (size_t)n * sizeof *x0);
     s.watch.along = state + length;
+    s.watch.singular.x = s.watch.along + 2 * padded;
     s.samples = (fb_samples){
         .times = times, .n_times = 50, .t = t, .x = samples, .room = 50, .pending = 1, .until = 0.5};
     if (method == &fb_rk4)

@@ -11,7 +11,6 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 from fourbar_codegen.dynamics.formation import form_equations
-from fourbar_codegen.simulation.singularity import Singular
 
 T = me.dynamicsymbols._t
 Y_AFTER_1_S = -0.16501085312554
@@ -413,16 +412,8 @@ def test_velocity_constraints_of_time_hold_in_a_run_that_begins_later():
 
 
 @pytest.mark.slow
-def test_velocity_constraints_with_poles_are_examined_there_and_passed(monkeypatch):
+def test_velocity_constraints_with_poles_are_passed():
     """u_d - A u_i: where the last two bars of a chain are in line, A is infinite, and the loop moves on regularly."""
-    looks = []
-
-    class Noted(Singular):
-        def within_step(self, run, *samples):
-            looks.append(run.t)
-            return super().within_step(run, *samples)
-
-    monkeypatch.setattr("fourbar_codegen.simulation.integrate.Singular", Noted)
     model = fb.models.chain(4, closed=True)
     system, dependent = model.system, model.system.u_dep
     rates = system.velocity_constraints.xreplace({x.diff(T): v for x, v in zip(system.q, system.u, strict=True)})
@@ -437,9 +428,6 @@ def test_velocity_constraints_with_poles_are_examined_there_and_passed(monkeypat
     in_line = np.sin(run["q4"])
     poles = run.t[1:][in_line[1:] * in_line[:-1] < 0.0]
     assert len(poles) > 10
-    # A step close to a pole may be looked at, too, since A is no longer of the size that it had before.
-    assert set(poles) <= set(looks)
-    assert len(looks) <= len(poles) + 2
     assert np.abs(run.constraint_residual).max() < 1e-12
     # The same motion as with the rates as they are, up to the errors of 160 steps; afterwards it is chaotic.
     assert poles[0] < 2.0

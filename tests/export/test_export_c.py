@@ -512,6 +512,35 @@ def test_c_library_run_ends_at_a_singular_position_between_samples(exported, n):
     assert not states[int(np.searchsorted(times, mechanism.t)) + 1 :].any()
 
 
+@pytest.mark.slow(but=["8"])
+@pytest.mark.parametrize("n", [8, 100])
+def test_c_library_runs_end_at_the_singular_positions_where_pythons_end(tmp_path, n):
+    """Random linkages whose rocker is turned with constant speed; most of them reach dead points."""
+    points = {"O": (0, 0), "A": (0.1, 0), "B": (0.22, 0.35), "R": (0.4, 0)}
+    linkage = fb.Linkage("driven", points=points, ground="OR", links=["OA", "AB", "BR"], density=2.0)
+    linkage.drive("BR", speed=1.0)
+    library, compiled = Library(linkage.model(), tmp_path), fb.compile_model(linkage.model())
+    rng, ends = np.random.default_rng(7), []
+    ranges = {"l_OA": (0.05, 0.5), "l_AB": (0.1, 0.6), "l_BR": (0.1, 0.6), "x_R": (0.2, 0.6), "start_BR": (-3.0, 3.0)}
+    while len(ends) < n:
+        p = {name: rng.uniform(*bounds) for name, bounds in ranges.items()}
+        try:
+            x = compiled.initial_state(parameters=p)
+        except fb.FourbarError:
+            continue
+        run = compiled.simulate((0.0, 7.0), x, parameters=p, rtol=1e-6, atol=1e-9)
+        mechanism = library.new()
+        for name, value in p.items():
+            mechanism.p[compiled.parameters.index(name)] = value
+        library.call("update", mechanism)
+        mechanism.x[:] = x
+        status = library.call("simulate", mechanism, 7.0, 1e-6, 1e-9, None, 0, None)
+        assert ("singular position" in library.message(status)) == ("singular position" in run.message)
+        assert mechanism.t == pytest.approx(run.t[-1], abs=1e-6)
+        ends.append(run.t[-1])
+    assert sum(end < 7.0 for end in ends) > n / 2
+
+
 def test_c_library_violation_of_a_state_with_nan_is_nan(exported):
     compiled, library = exported("slider_crank")
     for k in range(compiled.n_x):

@@ -192,7 +192,7 @@ typedef struct run {
     fb_run run;
     fb_problem problem;
     fb_kernel kernel;
-    double memory[(FB_STEPPER_ROWS + 2) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
+    double memory[(FB_STEPPER_ROWS + 3) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
     double sample_t[SAMPLES], sample_x[SAMPLES * MOST], scratch[MOST + 12];
     double event_values[(FB_MOST_DEGREE + 1) * MOST], event_ends[MOST], polished[MOST];
     fb_event events[MOST];
@@ -252,7 +252,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     fb_stepper *const stepper = &r->stepper;
     stepper->problem = &s->problem;
     const size_t length = fb_place_stepper(stepper, &fb_runge_kutta, METHODS[method], n, s->memory);
-    if (length + 2 * WIDTH > sizeof s->memory / sizeof *s->memory)
+    if (length + 3 * WIDTH > sizeof s->memory / sizeof *s->memory)
         abort();
     stepper->rtol = s->tolerances;
     stepper->atol = s->tolerances + WIDTH;
@@ -270,6 +270,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     r->samples.x = s->sample_x;
     r->samples.room = SAMPLES;
     r->watch.along = s->memory + length;
+    r->watch.singular.x = r->watch.along + 2 * WIDTH;
     r->watch.scratch = s->scratch;
     r->watch.values = s->event_values;
     r->watch.ends = s->event_ends;

@@ -15,7 +15,7 @@ int close_pendulum(const double *p, double *x)
 }
 
 /* The least pivot of J at a state, in the units of J at another one. */
-double least_pivot(const double *x, const double *other)
+double pivot_in_units(const double *x, const double *other)
 {
     const double p[N_P] = {1.0, 1.0, 1.0};
     double constants[N_CONSTANTS], r[N_R] = {0.0}, jacobian[N_C * N_U], bias[N_C];
@@ -24,7 +24,7 @@ double least_pivot(const double *x, const double *other)
     prepare(p, constants);
     velocity(0.0, other, constants, r, jacobian, bias);
     fb_note_units(jacobian, &history.units);
-    return fb_least_pivot(0.0, x, constants, r, &history);
+    return fb_least_pivot(0.0, x, constants, r, FB_LOOK_ASIDE, &history);
 }
 
 void balance(int m, int n, double *a, double *b, double *unit)

@@ -70,5 +70,5 @@ def test_a_state_that_is_not_finite_has_its_status(closing, place, value):
 )
 def test_the_least_pivot_is_the_largest_entry_in_the_units_of_the_run(closing, x, other, expected):
     """J = (2 x, 2 y), with columns in units of those at another state; 0 for a pivot that counts as zero."""
-    found = closing.least_pivot(np.array([*x, 0.0, 0.0]), np.array([*other, 0.0, 0.0]), returns=ctypes.c_double)
+    found = closing.pivot_in_units(np.array([*x, 0.0, 0.0]), np.array([*other, 0.0, 0.0]), returns=ctypes.c_double)
     assert found == pytest.approx(expected, rel=1e-14)

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.simulation import integrate
 
 t = me.dynamicsymbols._t
 m, k, T = sm.symbols("m k T")
@@ -496,13 +495,11 @@ def test_ensembles_at_large_times_equal_ensembles_from_zero(four_bar):
     np.testing.assert_array_equal(late.y, early.y)
 
 
-def test_long_steps_around_a_circle_are_not_examined_for_singular_positions(monkeypatch):
+@pytest.mark.parametrize("speed", [6.5, 8.0, 20.0, 100.0])
+def test_long_steps_around_a_circle_pass_no_singular_position(speed):
     """A pendulum by Cartesian coordinates takes steps of a quarter turn; its constraint keeps its rank."""
-    looked = []
-    monkeypatch.setattr(integrate.Singular, "within_step", lambda self, run: looked.append(run.t) or "")
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    x0 = {"x": 0.0, "y": -1.0, "v_x": 8.0, "v_y": 0.0}
+    x0 = {"x": 0.0, "y": -1.0, "v_x": speed, "v_y": 0.0}
     run = model.simulate((0.0, 100.0), x0, method="DOP853", rtol=1e-3, atol=1e-3)
     assert run.success
     assert np.abs(np.diff(np.unwrap(np.arctan2(run["y"], run["x"])))).max() > 0.5
-    assert not looked

@@ -1,6 +1,7 @@
 """Events: all roots within a step, in all methods, and where functions begin at zero."""
 
 import math
+import re
 import warnings
 
 import numpy as np
@@ -337,6 +338,26 @@ def test_functions_may_have_no_value_beside_the_run_and_within_it(mass):
     np.testing.assert_allclose(rooted.t_events[0], [0.25], rtol=0.0, atol=SPACING)
     holes = mass.simulate((0.0, 1.0), [0.0, 1.0], events=lambda t, x: np.nan if 0.4 < t < 0.6 else 1.0)
     assert "zero" not in holes.message
+
+
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5"])
+def test_a_terminal_event_before_a_singular_position_ends_the_run_in_the_same_step(four_bar, method):
+    """At 5.33697 s all bars are in line; afterwards nothing is known, so that events there do not count."""
+    how = {"method": method, "rtol": 1e-3, "atol": 1e-6}
+    failed = four_bar.simulate((0.0, 20.0), **how)
+    singular = float(re.search(r"singular position at t = (\S+),", failed.message)[1])
+    begin = failed.t[-1]
+    assert begin < singular
+    for share, status in ((0.5, 1), (1.5, -1)):
+        at = begin + share * (singular - begin)
+        events = [
+            fb.Event(lambda t, x, at=at: t - at, terminal=True),
+            lambda t, x: t - begin - 1e-3 * (singular - begin),
+        ]
+        run = four_bar.simulate((0.0, 20.0), events=events, **how)
+        assert run.status == status
+        assert run.t[-1] == (pytest.approx(at, abs=1e-14) if status == 1 else begin)
+        assert [len(found) for found in run.t_events] == ([1, 1] if status == 1 else [0, 0])
 
 
 def test_what_touches_zero_after_the_end_is_not_said(mass):

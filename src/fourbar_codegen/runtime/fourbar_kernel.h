@@ -16,7 +16,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FB_ABI_VERSION 23
+#define FB_ABI_VERSION 24
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -80,6 +80,9 @@ static inline int fb_attach(fb_function *functions, const fb_part *part)
 
 /* The last call with the same `work`, if that helps: rhs at the same state, or project, which led there. */
 enum FB_LAST { FB_LAST_ANY = 0, FB_LAST_RHS = 1, FB_LAST_PROJECT = 2 };
+
+/* Whether a state is the first one of a run, one of its states, or none. */
+enum FB_LOOK { FB_LOOK_FIRST, FB_LOOK_ALONG, FB_LOOK_ASIDE };
 
 typedef struct fb_batch_functions fb_batch_functions; /* lanes/batch.h */
 
@@ -161,6 +164,10 @@ typedef struct fb_kernel {
      * the sign is not conclusive; or if J is close to losing rank, where rounding errors of closed loops may lead
      * around the singular position. */
     int (*toggled)(void *work);
+    /* The least pivot of J, with rows and columns in units of their largest entries in a run, those of this state
+     * included or not; not a number where J is none. It is zero at singular positions. NULL without constraints. */
+    double (*least_pivot)(double t, const double *x, const double *constants, const double *r, enum FB_LOOK look,
+                          void *work);
     const fb_function *functions;              /* FB_N_ROLES */
     const fb_part *derivatives;                /* or NULL, if they are in a library of their own; ... */
     const fb_part *products;                   /* ... likewise */

@@ -17,7 +17,7 @@ from fourbar_codegen.runtime.evaluator cimport (
 import numpy as np
 
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.roles import Method, StopReason
+from fourbar_codegen.roles import Method, Singular, StopReason
 
 cnp.import_array()
 
@@ -91,6 +91,10 @@ cdef extern from "run/driver.h":
         int event, jumps
         double fraction
     ctypedef int fb_called_event(void *, int, double, const double *, double *) noexcept nogil
+    ctypedef struct fb_singular:
+        int how
+        double ratio, t
+        double *x
     ctypedef struct fb_watch:
         int n_events
         fb_event *events
@@ -104,7 +108,8 @@ cdef extern from "run/driver.h":
         void *caller
         int probes
         double *along
-        int look_at_all, toggled
+        int look_at_all
+        fb_singular singular
     ctypedef struct fb_observer:
         fb_observer *next
     ctypedef struct fb_run:
@@ -118,7 +123,6 @@ cdef extern from "run/driver.h":
     int fb_run_on(fb_run *, int64_t) noexcept nogil
     int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
     int fb_stop_within(fb_run *, double) noexcept nogil
-    void fb_undo(fb_run *) noexcept nogil
     int FB_ALL_EVENTS, FB_MOST_CROSSINGS, FB_MOST_DEGREE
     int fb_event_values(fb_run *, double, const double *, int, double *) noexcept nogil
 
@@ -737,6 +741,7 @@ def _rates_of(Ode ode):
 
 
 _REASONS = tuple(StopReason)
+_SINGULAR = tuple(Singular)
 
 
 # A foreign method: Python objects with a step control of their own. These functions keep exceptions for `Ode.check`.
@@ -871,10 +876,11 @@ cdef class Run:
             self.foreign, steps, stepper.own = method, &_foreign_method, <void *>self
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
-        self.kept.append(_place(stepper, ode, steps, tableau, 2 * FB_PADDED(n) + 2 * n, &memory))
+        self.kept.append(_place(stepper, ode, steps, tableau, 3 * FB_PADDED(n) + 2 * n, &memory))
         stepper.project = project
         stepper.rtol, stepper.atol = _fill(memory, rtol, n), _fill(memory + n, atol, n)
         watch.along = memory + 2 * n
+        watch.singular.x = watch.along + 2 * FB_PADDED(n)
         memcpy(stepper.x, data(state), n * sizeof(double))
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.samples.until = run.t_end = run.t_bound
@@ -1145,10 +1151,6 @@ cdef class Run:
                 data(since)[len(since) - 1] = self.run.t_bound
             self.run.samples.times, self.run.samples.n_times = <const double *>self._keep(since), len(since)
 
-    def discard(self):
-        """Discard the last step; the run ends before it."""
-        fb_undo(&self.run)
-
     def dense_output(self):
         """An empty dense output from the present time on, to which steps are added."""
         if self.foreign is not None:
@@ -1157,9 +1159,12 @@ cdef class Run:
                            [self.run.stepper.t], [], self.directions)
 
     @property
-    def toggled(self):
-        """Whether the sign of det J_d may have changed in the last step."""
-        return bool(self.run.watch.toggled)
+    def singular(self):
+        """How a run has met a singular position, the least pivot relative to its mean, the time, and the state."""
+        cdef fb_singular *singular = &self.run.watch.singular
+        cdef cnp.ndarray x = new_array(self.run.stepper.n)
+        memcpy(data(x), singular.x, self.run.stepper.n * sizeof(double))
+        return _SINGULAR[singular.how], singular.ratio, self.origin + singular.t, x
 
     @property
     def t(self):

@@ -186,6 +186,12 @@ class Watch:
             self.states[i].append(run.state_within(share))
         return found[-1][1] if found and run.ended_by >= 0 else None
 
+    def forget(self, run: Run, direction: float) -> None:
+        """Drop what was found in a step that was taken back."""
+        for i, times in enumerate(self.times):
+            n = sum(direction * (t - run.t) <= 0.0 for t in times)
+            del times[n:], self.states[i][n:], self.derivatives[i][n:]
+
     def touched(self, run: Run, begin: float, end: float) -> str:
         """Sentences on functions that were zero without a change of sign, in a run from one time to another."""
         named = zip(self.events, run.touched, strict=True)

@@ -22,7 +22,7 @@ from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch, watched_quantity
 from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
-from fourbar_codegen.simulation.singularity import Singular
+from fourbar_codegen.simulation.singularity import singular_message
 
 if TYPE_CHECKING:
     from fourbar_codegen.simulation.foreign import ForeignMethod
@@ -121,7 +121,7 @@ class _Integration:
     """
 
     __slots__ = (
-        "dense", "differentiates", "directions", "examined", "foreign", "looks", "message", "model", "ode", "options",
+        "dense", "differentiates", "directions", "examined", "foreign", "message", "model", "ode", "options",
         "pieces", "run", "samples", "singular", "status", "t_eval", "watch",
     )  # fmt: skip
 
@@ -132,7 +132,6 @@ class _Integration:
         self.message = self.singular = ""
         self.examined = 0
         self.samples: list[tuple[Floats, Floats]] = []
-        self.looks: Singular | None = None
         self.watch = Watch(model, options.events, differentiates=directions is not None) if options.events else None
         later = discontinuities(ode, *options.t_span, varied=self.differentiates)
         self.t_eval = options.t_eval
@@ -215,22 +214,10 @@ class _Integration:
     def _make_room(self) -> None:
         self.samples.append(self.run.take_samples())
 
-    def _singular(self) -> Singular:
-        """What detects singular positions, made where a run needs it."""
-        self.looks = self.looks or Singular(self.model)
-        return self.looks
-
     def _examine(self) -> None:
-        """The last step may have an event, or pass a singular position; the dense output has it too."""
+        """The last step has events; the dense output has it too."""
         run = self.run
         is_new, self.examined = run.n_steps != self.examined, run.n_steps  # or what is left of the events in a step
-        if is_new and run.toggled:
-            self._make_room()
-            self.singular = self._singular().within_step(run, self.samples)
-            if self.singular:
-                run.discard()
-                self.status, self.message = -1, self.singular
-                return
         if is_new and self.dense is not None:
             self.dense.add(run)
         end = self.watch.look(run) if self.watch else None
@@ -257,17 +244,19 @@ class _Integration:
             self.status, self.message = -1, UNKNOWN_JUMP.format(", ".join(sorted(unknown)))
 
     def _fail(self, reason: StopReason) -> None:
-        """The next step cannot be taken, or steps have collapsed: perhaps at a singular position."""
+        """The next step cannot be taken, passes a singular position, or steps have collapsed."""
         run = self.run
         if reason is StopReason.DIVERGED:
             self.status, self.message = -1, run.ode.failure or NOT_SOLVED.format(self.options.max_step / 10.0)
             return
-        self._make_room()
-        collapsed = reason is StopReason.COLLAPSED
-        self.singular = self._singular().here(run, self.samples, collapsed=collapsed, varied=self.differentiates)
-        if self.singular or not collapsed:
+        if reason is StopReason.SINGULAR:
+            if self.watch:
+                self.watch.forget(run, self.options.t_span[1] - self.options.t_span[0])
+            self.status, self.singular = -1, singular_message(self.model, run)
+            self.message = self.singular
+        elif reason is not StopReason.COLLAPSED:
             own = self.foreign.message if self.foreign and reason is StopReason.FAILED else FAILED.get(reason, "")
-            self.status, self.message = -1, self.singular or run.ode.failure or own
+            self.status, self.message = -1, run.ode.failure or own
 
     def trajectory(self) -> Trajectory:
         """The run as a result."""

@@ -32,8 +32,8 @@
 #define FB_MAX_RUN_STEPS 1000000
 #endif
 
-/* The rows of a run: those of its stepper, and two that it looks along. */
-enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 2 };
+/* The rows of a run: those of its stepper, and three that it looks along. */
+enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 3 };
 
 /* What a mechanism needs between calls: the constants, the workspace of the equations, and the state and the stages of
  * a step. */
@@ -149,15 +149,6 @@ static fb_problem *problem_now(struct FB_MODEL *model, double *t)
     return problem;
 }
 
-/* By which runs find singular positions. */
-static double pivot_of_run(fb_stepper *stepper, const double t, const double *x)
-{
-    const fb_problem *const problem = stepper->problem;
-    return N_RANK == 0
-               ? 1.0
-               : fb_least_pivot(t, x, problem->constants, problem->inputs, &((const fb_work *)problem->work)->pivots);
-}
-
 /* The run at the present state. */
 static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
 {
@@ -169,13 +160,12 @@ static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
     run->watch.along = own->rows + fb_place_stepper(stepper, &fb_runge_kutta, tableau, N_X, own->rows);
     stepper->rtol = own->rtol;
     stepper->atol = own->atol;
-    own->work.pivots.largest = 0.0; /* no step was taken yet */
     memset(stepper->x, 0, N_PADDED * sizeof *stepper->x);
     memcpy(stepper->x, model->x, sizeof model->x);
     stepper->t = run->pace.t_begin = model->t;
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
-    run->watch.singular.least_pivot = pivot_of_run;
+    run->watch.singular.x = run->watch.along + 2 * N_PADDED;
     return run;
 }
 
@@ -441,7 +431,7 @@ static int is_run(const struct FB_MODEL *model, const double t_end, const double
 static int status_of_stop(fb_run *run, const int reason)
 {
     const int status = run->stepper.problem->status;
-    if (reason == FB_RUN_SINGULAR || (reason == FB_RUN_PAUSED && fb_fails_near_singular_position(run)))
+    if (reason == FB_RUN_SINGULAR || (reason == FB_RUN_PAUSED && fb_stops_at_singular_position(run, reason) > 0))
         return FB_SINGULAR_POSITION;
     return status != FB_OK ? status : reason == FB_RUN_PAUSED ? FB_TOO_MANY_STEPS : FB_STEP_TOO_SMALL;
 }
@@ -574,6 +564,11 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
             return FB_OK;
         if (reason != FB_RUN_END) {
             reach(model, run, stepper->t);
+            if (events) /* those of a step that was taken back */
+                for (; events->n_found > 0 && events->n_found <= events->room &&
+                       run->direction * (events->found[events->n_found - 1].t - model->t) > 0.0;
+                     --events->n_found)
+                    ;
             return status_of_stop(run, reason);
         }
         if (segment.t_bound == t_end)

@@ -18,6 +18,12 @@ static int toggled(void *work)
     return fb_note_pivots(w->constraint_jacobian, &w->factors, &w->pivots);
 }
 
+static double least_pivot(double t, const double *x, const double *constants, const double *r, enum FB_LOOK look,
+                          void *work)
+{
+    return fb_least_pivot(t, x, constants, r, look, &((fb_work *)work)->pivots);
+}
+
 #ifndef FB_LIBRARY /* which calls the functions themselves */
 static const fb_array dynamics_results[5] = {{"coordinate_rates", N_Q, FB_VECTOR},
                                              {"mass_matrix", N_U, N_U},
@@ -75,6 +81,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .coordinate_change = coordinate_change,
     .project = project,
     .toggled = toggled,
+    .least_pivot = N_RANK > 0 ? least_pivot : NULL,
 #ifndef FB_LIBRARY
     .functions = own_functions,
 #endif

@@ -6,15 +6,16 @@
 
 #include "../linear_algebra/elimination.h"
 #include "../linear_algebra/equations.h"
+#include "../linear_algebra/units.h"
 #ifndef FB_SPARSE
 #include "../linear_algebra/signed_pivot.h"
 #endif
 
 /* What was seen of J in a run; zeroed before it. */
 typedef struct fb_pivot_history {
-    double jacobian[FB_AT_LEAST_1(N_JACOBIAN)]; /* at the last state */
-#ifndef FB_SPARSE
     fb_units units;
+#ifndef FB_SPARSE
+    double jacobian[FB_AT_LEAST_1(N_JACOBIAN)]; /* at the last state */
     double signed_pivot;
     int was_static;
 #endif
@@ -63,22 +64,28 @@ static inline int fb_note_pivots(const double *restrict jacobian, fb_factors *re
     return result;
 }
 
-/* The least pivot of J, in the units of its rows and columns in a run: zero where it loses rank. */
+/* The least pivot of J, in the units of its rows and columns in a run: zero where it loses rank, and not a number where
+ * J is none. */
 static inline double fb_least_pivot(const double t, const double *x, const double *constants, const double *r,
-                                    const fb_pivot_history *h)
+                                    const enum FB_LOOK look, fb_pivot_history *h)
 {
-    double jacobian[FB_AT_LEAST_1(N_C * N_U)], bias[FB_AT_LEAST_1(N_C)], last = 0.0, solution[N_U];
-    double none[FB_AT_LEAST_1(N_C)] = {0.0};
+    double jacobian[FB_AT_LEAST_1(N_C * N_U)], bias[FB_AT_LEAST_1(N_C)], least;
     int order[N_U];
     velocity(t, x, constants, r, jacobian, bias);
-#ifdef FB_SPARSE
-    (void)h;
-    fb_balance(N_C, N_U, jacobian, none, solution);
-#else
-    fb_in_units(jacobian, &h->units, jacobian);
+    if (all_finite(jacobian, N_C * N_U) != FB_OK)
+        return NAN;
+    if (look == FB_LOOK_FIRST)
+        memset(h, 0, sizeof *h);
+    if (look != FB_LOOK_ASIDE) {
+        const double factor = fb_note_units(jacobian, &h->units);
+        (void)factor;
+#ifndef FB_SPARSE
+        h->largest /= factor;
 #endif
-    /* Pivots beyond the rank are rounding errors. */
-    return fb_eliminate_rows(N_C, N_U, 1, jacobian, none, order, solution, &last) < N_RANK ? 0.0 : last;
+    }
+    fb_in_units(jacobian, &h->units, jacobian);
+    /* Those beyond the rank are rounding errors. */
+    return fb_reduce_rows(N_C, N_U, 0, N_RANK, jacobian, bias, order, &least) < N_RANK ? 0.0 : least;
 }
 
 #endif

@@ -98,19 +98,17 @@ static inline double fb_pivot_completely(const int m, const int n, double *restr
     return fabs(a[p * n + p]);
 }
 
-/* Gaussian elimination with complete pivoting of m rows and n columns with k right-hand sides. Stops after n pivots, or
- * at one that is not above FB_CLOSURE_PIVOT_RATIO, and returns their number; the last one is stored. The unknowns, of
- * shape (n, k), solve the rows of the pivots; others are 0. */
-static inline int fb_eliminate_rows(const int m, const int n, const int k, double *restrict a, double *restrict b,
-                                    int *restrict order, double *restrict solution, double *last)
+/* Gaussian elimination with complete pivoting of m rows and n columns with k right-hand sides, of shape (m, k). Stops
+ * after as many pivots as asked for, or at one that is not above FB_CLOSURE_PIVOT_RATIO, and returns their number; the
+ * last one is stored. */
+static inline int fb_reduce_rows(const int m, const int n, const int k, const int pivots, double *restrict a,
+                                 double *restrict b, int *restrict order, double *last)
 {
     for (int j = 0; j < n; ++j)
         order[j] = j;
-    for (int j = 0; j < n * k; ++j)
-        solution[j] = 0.0;
     int rank = 0;
     *last = n > 0 ? 0.0 : 1.0;
-    for (int p = 0; p < n && p < m; ++p) {
+    for (int p = 0; p < pivots && p < m; ++p) {
         int row, column;
         *last = fb_pivot_completely(m, n, a, p, &row, &column);
         if (!(*last > FB_CLOSURE_PIVOT_RATIO))
@@ -127,6 +125,17 @@ static inline int fb_eliminate_rows(const int m, const int n, const int k, doubl
         }
         rank = p + 1;
     }
+    return rank;
+}
+
+/* Solves the rows of up to n pivots so: the unknowns have the shape (n, k), those without a pivot are 0. Returns the
+ * number of pivots, and stores the last one. */
+static inline int fb_eliminate_rows(const int m, const int n, const int k, double *restrict a, double *restrict b,
+                                    int *restrict order, double *restrict solution, double *last)
+{
+    const int rank = fb_reduce_rows(m, n, k, n, a, b, order, last);
+    for (int j = 0; j < n * k; ++j)
+        solution[j] = 0.0;
     for (int p = rank - 1; p >= 0; --p)
         for (int j = 0; j < k; ++j) {
             double sum = b[p * k + j];

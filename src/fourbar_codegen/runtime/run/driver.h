@@ -8,30 +8,52 @@
 #include "singular_stop.h"
 #include "step_collapse.h"
 
+/* Looks for events in what is left of the last step: FB_RUN_PAUSED if there are none. A singular position ends the run
+ * before the step, unless an event ends it before that position. */
+static inline int fb_look_for_events(fb_run *r)
+{
+    fb_watch *const watch = &r->watch;
+    int found = 0;
+    do {
+        found = watch->n_events > 0 ? fb_find_events(r) : 0;
+        if (found > 0 && watch->is_singular)
+            found = fb_forget_events(r, watch->singular.t);
+    } while (found == 0 && watch->is_singular && watch->n_events > 0 && watch->searched < 1.0);
+    if (watch->ended_by >= 0)
+        watch->is_singular = 0;
+    if (found != 0)
+        return found < 0 ? found : FB_RUN_EVENT;
+    if (!watch->is_singular)
+        return FB_RUN_PAUSED;
+    watch->is_singular = 0;
+    fb_undo(r);
+    return FB_RUN_SINGULAR;
+}
+
 /* Looks at the last step: FB_RUN_PAUSED if there is nothing to examine. */
 static inline int fb_look(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     fb_watch *const watch = &r->watch;
-    const int finds_singular = watch->singular.least_pivot != NULL;
     /* Methods that pass singular positions need not detect them. */
-    watch->toggled = s->method->projects ? 0 : s->problem->kernel->toggled(s->problem->work);
-    if (watch->toggled)
-        watch->toggled = fb_toggled_within(r);
-    if (watch->toggled < 0)
-        return watch->toggled;
-    if (watch->toggled && finds_singular) {
-        const int passes = fb_passes_singular_position(r);
-        if (passes != 0)
-            return passes < 0 ? passes : FB_RUN_SINGULAR;
-    }
+    int toggled = s->method->projects ? 0 : s->problem->kernel->toggled(s->problem->work);
+    if (toggled)
+        toggled = fb_toggled_within(r);
+    if (toggled > 0)
+        toggled = fb_passes_singular_position(r);
+    if (toggled < 0)
+        return toggled;
+    watch->is_singular = toggled;
     watch->searched = 0.0;
-    const int events = watch->n_events > 0 ? fb_find_events(r) : 0;
-    if (events < 0)
-        return events;
-    if (finds_singular)
-        fb_note_pivot(r);
-    return watch->look_at_all || events || (watch->toggled && !finds_singular) ? FB_RUN_EVENT : FB_RUN_PAUSED;
+    const int status = fb_look_for_events(r);
+    if (status < 0 || status == FB_RUN_SINGULAR)
+        return status;
+    if (s->n_steps >= watch->singular.next && s->problem->kernel->least_pivot) {
+        const int noted = fb_note_pivot(r, FB_LOOK_ALONG);
+        if (noted < 0)
+            return noted;
+    }
+    return watch->look_at_all ? FB_RUN_EVENT : status;
 }
 
 /* Whether an observer has no room for another step. */
@@ -47,10 +69,10 @@ static inline int fb_is_full(const fb_run *r)
 static inline int fb_run_on(fb_run *r, int64_t n)
 {
     for (;;) {
-        if (r->watch.n_found > 0) { /* what is left of the last step */
-            const int found = fb_find_events(r);
-            if (found != 0)
-                return found < 0 ? found : FB_RUN_EVENT;
+        if (r->watch.n_found > 0) { /* more may be left of the last step */
+            const int status = fb_look_for_events(r);
+            if (status != FB_RUN_PAUSED)
+                return status;
         }
         if (r->samples.pending) {
             const int status = fb_sample(r);
@@ -63,16 +85,14 @@ static inline int fb_run_on(fb_run *r, int64_t n)
             return FB_RUN_PAUSED;
         if (fb_is_full(r))
             return FB_RUN_FULL;
-        if (fb_has_collapsed(r))
-            return FB_RUN_COLLAPSED;
-        int status = fb_observed_step(r);
-        if (status > FB_RUN_PAUSED && fb_fails_near_singular_position(r))
-            return FB_RUN_SINGULAR;
+        int status = fb_has_collapsed(r) ? FB_RUN_COLLAPSED : fb_observed_step(r);
+        if (status > FB_RUN_PAUSED) {
+            const int is_singular = fb_stops_at_singular_position(r, status);
+            return is_singular < 0 ? is_singular : is_singular ? FB_RUN_SINGULAR : status;
+        }
         if (status != FB_RUN_PAUSED)
             return status;
         status = fb_look(r);
-        if (status == FB_RUN_SINGULAR)
-            fb_undo(r); /* the run ends before it */
         if (status != FB_RUN_PAUSED)
             return status;
     }

@@ -437,4 +437,17 @@ static inline int fb_find_events(fb_run *r)
     return watch->n_found;
 }
 
+/* Drops the events found last that are after a time; returns the number of those that are left. */
+static inline int fb_forget_events(fb_run *r, const double t)
+{
+    fb_watch *const watch = &r->watch;
+    for (; watch->n_found > 0; --watch->n_found) {
+        const double last = fb_time_of_fraction(&r->stepper, watch->found[watch->n_found - 1].fraction);
+        if (r->direction * (last - t) <= 0.0)
+            break;
+        watch->ended_by = -1;
+    }
+    return watch->n_found;
+}
+
 #endif

@@ -14,10 +14,14 @@ typedef struct fb_samples {
     double until; /* no samples after this time */
 } fb_samples;
 
-/* How the run itself finds singular positions: by the least pivot of J, relative to its geometric mean over time. */
+/* Singular positions: the least pivot of J, relative to its geometric mean over time. */
 typedef struct fb_singular {
-    double (*least_pivot)(fb_stepper *s, double t, const double *x); /* or NULL: who examines the steps finds them */
-    double typical, integral;                                        /* the mean, and the integral of the logarithm */
+    double typical, integral; /* the mean, and the integral of the logarithm, ... */
+    double noted;             /* ... up to this time */
+    int64_t next;             /* the number of the step after which it is noted again */
+    /* where the run ends: an FB_SINGULAR, the ratio to the mean, the time and the state, (padded,) */
+    int how;
+    double ratio, t, *x;
 } fb_singular;
 
 /* An event: a change of sign of a quantity. */
@@ -61,9 +65,9 @@ typedef struct fb_watch {
     fb_called_event *call;
     void *caller;
     int probes;      /* whether functions are evaluated beside the run, where they may have no value */
-    double *along;   /* (2, padded): a state within the last step, and x' there */
+    double *along;   /* (3, padded): a state within the last step, x' there, and the state at a singular position */
     int look_at_all; /* whether to examine every step */
-    int toggled;     /* whether the sign of det J_d has changed in the last step */
+    int is_singular; /* whether the last step passes a singular position */
     fb_singular singular;
 } fb_watch;
 

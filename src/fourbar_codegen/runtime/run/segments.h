@@ -6,20 +6,18 @@
 #include "events.h"
 #include "run.h"
 #include "samples.h"
+#include "singular_stop.h"
 
 /* x' at the beginning, and the length of the first step. */
 static inline int fb_begin(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     s->fsal = 0;
-    const int status = s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
-    fb_singular *const singular = &r->watch.singular;
+    int status = s->problem->kernel->least_pivot ? fb_note_pivot(r, FB_LOOK_FIRST) : 0;
+    if (status >= 0)
+        status = s->method->init(s, r->direction, fabs(r->t_bound - s->t), r->max_step, &r->h_abs);
     if (status < 0)
         return status;
-    if (singular->least_pivot) {
-        singular->typical = singular->least_pivot(s, s->t, s->x);
-        singular->integral = 0.0;
-    }
     r->watch.ended_by = -1;
     r->watch.n_found = 0;
     return fb_begin_events(r);

@@ -25,7 +25,7 @@ kernel = PyCapsule_New(<void *>&four_bar_kernel, FB_CAPSULE_NAME, NULL)
 
 manifest = (
     '{\n'
-    '  "format": 21,\n'
+    '  "format": 22,\n'
     '  "name": "four_bar",\n'
     '  "fingerprint": "418c24a8b65509184aa6a7fb16a910a599e907b1f49a0925977fb21290e5df2f",\n'
     '  "coordinates": [\n'
@@ -522,6 +522,7 @@ manifest = (
     '  "has_potential_energy": true,\n'
     '  "energy_without": [],\n'
     '  "form": "dense",\n'
+    '  "conditions": [],\n'
     '  "state_jumps": [],\n'
     '  "dependencies": {\n'
     '    "coordinate_rates": [\n'
@@ -571,6 +572,7 @@ manifest = (
     '    "constraint_scale": 1410,\n'
     '    "invariant_correction": 0,\n'
     '    "coordinate_change": 0,\n'
+    '    "conditions": 0,\n'
     '    "energy": 373,\n'
     '    "output": 0,\n'
     '    "state_rates": 0,\n'
@@ -604,6 +606,7 @@ manifest = (
     '    "constraint_scale": 161,\n'
     '    "invariant_correction": 0,\n'
     '    "coordinate_change": 0,\n'
+    '    "conditions": 0,\n'
     '    "energy": 65,\n'
     '    "output": 0,\n'
     '    "state_rates": 0,\n'

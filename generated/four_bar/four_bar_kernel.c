@@ -26,6 +26,7 @@ enum {
     N_I = 0,
     N_O = 0,
     N_BREAKPOINTS = 0,
+    N_CONDITIONS = 0,
     N_POINTS = 11,
     N_FORCES = 1,
     N_RANK = 2,
@@ -462,6 +463,17 @@ static void velocity(double t, const double *restrict x, const double *restrict 
     velocity_bias[1] = 0.0;
 }
 
+/* Where these change their signs, the equations of motion jump at times that are not known beforehand. */
+static void conditions(double t, const double *restrict x, const double *restrict constants,
+    const double *restrict r, double *restrict conditions)
+{
+    (void)t;
+    (void)x;
+    (void)constants;
+    (void)r;
+    (void)conditions;
+}
+
 /* Kinetic and potential energy. */
 static void energy(double t, const double *restrict x, const double *restrict constants,
     const double *restrict r, double *restrict energies)
@@ -718,6 +730,15 @@ static int call_coordinate_change(const fb_at *at, const double *const *argument
     return FB_OK;
 }
 
+static const fb_array conditions_results[] = {{"conditions", 0, -1}};
+static int call_conditions(const fb_at *at, const double *const *arguments, double *const *results,
+    void *work)
+{
+    (void)arguments, (void)work;
+    conditions(at->t, at->x, at->constants, at->r, results[0]);
+    return FB_OK;
+}
+
 static const fb_array energy_results[] = {{"energies", 2, -1}};
 static int call_energy(const fb_at *at, const double *const *arguments, double *const *results, void *work)
 {
@@ -779,6 +800,7 @@ static const fb_function own_functions[FB_N_ROLES] = {
         invariant_correction_results},
     [FB_COORDINATE_CHANGE] = {call_coordinate_change, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 1, 1,
         coordinate_change_arguments, coordinate_change_results},
+    [FB_CONDITIONS] = {call_conditions, FB_NEEDS_STATE | FB_NEEDS_INPUTS, 0, 1, NULL, conditions_results},
     [FB_ENERGY] = {call_energy, FB_NEEDS_STATE, 0, 1, NULL, energy_results},
     [FB_OUTPUT] = {call_output, FB_NEEDS_STATE | FB_NEEDS_INPUTS | FB_NEEDS_ACCELERATIONS |
         FB_NEEDS_MULTIPLIERS, 0, 1, NULL, output_results},

@@ -55,7 +55,7 @@ class ShapeKind(StrEnum):
     LINE = "line"
 
 
-FORMAT = 21
+FORMAT = 22
 """Of the manifest's JSON text."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
@@ -176,12 +176,15 @@ class Breakpoints(NamedTuple):
         The number of breakpoints, as far as these follow from parameters.
     n_motion_breakpoints : int
         How many of them, the first ones, are those of positions or velocities.
+    conditions : tuple of str
+        What the equations of motion jump at, such as "sign of u1 - v", in the order of the values of FB_CONDITIONS.
     state_jumps : tuple of StateJump
         At times that are not known beforehand.
     """
 
     n: int
     n_motion_breakpoints: int
+    conditions: tuple[str, ...]
     state_jumps: tuple[StateJump, ...]
 
 
@@ -492,6 +495,7 @@ class Layout:
             "has_potential_energy": self.potential_energy.is_known,
             "energy_without": [*self.potential_energy.without],
             "form": self.form.value,
+            "conditions": [*self.breakpoints.conditions],
             "state_jumps": [
                 {"function": j.function, "input": j.input, "by_default": j.by_default, "known": j.known}
                 for j in self.breakpoints.state_jumps
@@ -549,6 +553,7 @@ class Layout:
             breakpoints=Breakpoints(
                 n=_one(int, data["n_breakpoints"]),
                 n_motion_breakpoints=_one(int, data["n_motion_breakpoints"]),
+                conditions=_each(str, data["conditions"]),
                 state_jumps=tuple(_state_jump(_object(entry)) for entry in _list(data["state_jumps"])),
             ),
             drawing=Drawing(

@@ -63,6 +63,10 @@ class Status(_Enum):
         24,
         "the speed of a prescribed motion jumps in the step or run, or at its end; the speeds after it are unknown",
     )
+    CHATTERING = (
+        25,
+        "the motion is led back to a jump of the equations from both sides, as where dry friction sticks",
+    )
 
 
 class Method(_Enum):
@@ -91,6 +95,7 @@ class StopReason(_Enum):
     OPEN = 8, "the constraint violation is too large to be corrected: after a step by Python's solvers, or after a jump"
     SINGULAR = 9, "a singular position is reached"
     FAILED = 10, "a method with its own step control has failed, and says why"
+    CHATTERING = 11, "the motion is led back to a jump of the equations from both sides, by ever more steps"
 
 
 class Watched(_Enum):
@@ -187,6 +192,10 @@ class Role(_Enum):
     COORDINATE_CHANGE = (
         Needs.STATE | Needs.INPUTS,
         "K v, the change of q for a change v of the speeds' integrals, for q' = K u + k.",
+    )
+    CONDITIONS = (
+        Needs.STATE | Needs.INPUTS,
+        "Where these change their signs, the equations of motion jump at times that are not known beforehand.",
     )
     ENERGY = Needs.STATE, "Kinetic and potential energy."
     MOMENTA = Needs.STATE, "Linear momentum; angular momentum about the fixed point, and about the mass centre."

@@ -25,7 +25,7 @@ def manifest(rows):
     of_motion = [x | mass | force | a_x | multipliers, y | gravity | mass | a_y | multipliers]
     of_constraint = x | y | u_x | u_y
     return {
-        "format": 21,
+        "format": 22,
         "name": "pendulum",
         "fingerprint": f"{rows:064x}",
         "coordinates": ["x", "y"],
@@ -75,6 +75,7 @@ def manifest(rows):
         "has_potential_energy": True,
         "energy_without": [],
         "form": "dense",
+        "conditions": [],
         "state_jumps": [],
         "dependencies": {
             "coordinate_rates": [hex(u_x), hex(u_y)],

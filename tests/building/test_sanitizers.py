@@ -127,7 +127,7 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
     fb_run s = {.direction = 1.0, .t_bound = 0.5, .max_step = INFINITY};
     fb_stepper *const stepper = &s.stepper;
     const size_t length = fb_place_stepper(stepper, steps_of, method, n, NULL);
-    double *const state = calloc(length + 3 * (size_t)padded, sizeof(double)), *const tolerance = doubles(n);
+    double *const state = calloc(length + 4 * (size_t)padded, sizeof(double)), *const tolerance = doubles(n);
     double times[50], *const t = doubles(50), *const samples = doubles(50 * n);
     k->prepare(p, problem.constants);
     for (int i = 0; i < n; ++i)

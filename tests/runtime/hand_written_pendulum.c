@@ -29,6 +29,7 @@ enum {
     N_I = 0,
     N_O = 2,
     N_BREAKPOINTS = 0,
+    N_CONDITIONS = 0,
     N_POINTS = 2,
     N_FORCES = 1,
     N_RANK = 1,

@@ -192,7 +192,7 @@ typedef struct run {
     fb_run run;
     fb_problem problem;
     fb_kernel kernel;
-    double memory[(FB_STEPPER_ROWS + 3) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
+    double memory[(FB_STEPPER_ROWS + 4) * WIDTH], tolerances[2 * WIDTH], failed[MOST], moved[MOST];
     double sample_t[SAMPLES], sample_x[SAMPLES * MOST], scratch[MOST + 12];
     double event_values[(FB_MOST_DEGREE + 1) * MOST], event_ends[MOST], polished[MOST];
     fb_event events[MOST];
@@ -252,7 +252,7 @@ run *new_run(rates_of *rates, int method, int n, double t, const double *x, doub
     fb_stepper *const stepper = &r->stepper;
     stepper->problem = &s->problem;
     const size_t length = fb_place_stepper(stepper, &fb_runge_kutta, METHODS[method], n, s->memory);
-    if (length + 3 * WIDTH > sizeof s->memory / sizeof *s->memory)
+    if (length + 4 * WIDTH > sizeof s->memory / sizeof *s->memory)
         abort();
     stepper->rtol = s->tolerances;
     stepper->atol = s->tolerances + WIDTH;

@@ -90,16 +90,6 @@ def kernel_text(
     table = _entries_text(entries, "static ")
     others += f"\n\n#if !defined(FB_RHS_ONLY) && !defined(FB_LIBRARY)\n{table}\n#endif\n"
     others += f'\n#include "{folder}kernel/kernel.h"'
-    macros = "#define FB_SHORT\n" if scheduled.is_short else ""
-    if sizes.n_z:
-        macros += f"#define N_Z {sizes.n_z}\n"
-    if sizes.n_n:
-        macros += f"#define N_N {sizes.n_n}\n"
-        macros += "#define FB_FORCES_LINEAR\n" if program.forces_are_linear else ""
-    if program.states_need_solution:
-        macros += "#define FB_STATES_NEED_SOLUTION\n"
-    if program.states_need_multipliers:
-        macros += "#define FB_STATES_NEED_MULTIPLIERS\n"
     tables = _position_rows_text(program.position_rows)
     if program.factors is not None:
         tables += _factors_text(program.sizes.n_u + len(program.factors.nodes))
@@ -125,7 +115,7 @@ def kernel_text(
  * The functions below evaluate straight-line code; kernel/kernel.h, included at the end, solves the
  * equations that they set up. Matrices are stored row by row.{note}
  */
-{macros}{before}#include "{folder}{program.name}_kernel.h"
+{_macros(scheduled)}{before}#include "{folder}{program.name}_kernel.h"
 #include "{folder}arithmetic/angle.h"
 
 #include <math.h>
@@ -140,6 +130,7 @@ enum {{
     N_I = {sizes.n_i},
     N_O = {sizes.n_o},
     N_BREAKPOINTS = {sizes.n_breakpoints},
+    N_CONDITIONS = {sizes.n_conditions},
     N_POINTS = {sizes.n_points},
     N_FORCES = {sizes.n_forces},
     N_RANK = {sizes.rank},
@@ -152,6 +143,20 @@ enum {{
 
 {others}
 {after}"""
+
+
+def _macros(scheduled: Schedule) -> str:
+    """What the headers are told of the equations."""
+    program, sizes = scheduled.program, scheduled.program.sizes
+    told = {
+        "FB_SHORT": scheduled.is_short,
+        f"N_Z {sizes.n_z}": sizes.n_z,
+        f"N_N {sizes.n_n}": sizes.n_n,
+        "FB_FORCES_LINEAR": sizes.n_n and program.forces_are_linear,
+        "FB_STATES_NEED_SOLUTION": program.states_need_solution,
+        "FB_STATES_NEED_MULTIPLIERS": program.states_need_multipliers,
+    }
+    return "".join(f"#define {macro}\n" for macro, is_told in told.items() if is_told)
 
 
 def batch_text(scheduled: Schedule) -> str | None:

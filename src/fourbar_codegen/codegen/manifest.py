@@ -11,8 +11,8 @@ from typing import Any
 import sympy as sm
 from sympy.functions.elementary.trigonometric import TrigonometricFunction
 
-from fourbar_codegen.dynamics.equations import Equations
-from fourbar_codegen.dynamics.state_jumps import state_jumps
+from fourbar_codegen.dynamics.equations import Equations, Jump
+from fourbar_codegen.expressions.convert import written_out
 from fourbar_codegen.expressions.tape import Call, Product, Scalar, Sum, operands
 from fourbar_codegen.layout import (
     Breakpoints,
@@ -36,6 +36,9 @@ from fourbar_codegen.modeling.mechanism import Mechanism, entries_of
 from fourbar_codegen.modeling.model import Model
 
 __all__ = ["layout_of", "operations_of"]
+
+LONGEST = 80
+"""Characters of a condition that a message writes out; of longer ones it names the variables."""
 
 
 def layout_of(
@@ -79,6 +82,7 @@ def layout_of(
         breakpoints=Breakpoints(
             n=program.sizes.n_breakpoints,
             n_motion_breakpoints=equations.inputs.n_motion_breakpoints,
+            conditions=_conditions(equations),
             state_jumps=_state_jumps(model, equations, names),
         ),
         drawing=_drawing(model, equations),
@@ -129,15 +133,27 @@ def _drawing(model: Model, equations: Equations) -> Drawing:
     )
 
 
+def _conditions(equations: Equations) -> tuple[str, ...]:
+    """What the conditions of jumps belong to."""
+    texts: dict[Scalar, str] = {}
+    for jump in equations.jumps:
+        text = f"{jump.function} of {written_out(jump.condition)}"
+        texts.setdefault(jump.condition, text if len(text) <= LONGEST else _of_leaves(jump))
+    return tuple(texts[condition] for condition in equations.conditions.entries)
+
+
+def _of_leaves(jump: Jump) -> str:
+    return f"{jump.function} of {', '.join(map(str, map(written_out, jump.leaves)))}"
+
+
 def _state_jumps(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> tuple[StateJump, ...]:
     """What jumps at times that are not known beforehand, in the equations or in the expression of an input."""
-    values = {}
-    for leaf, name in zip(equations.variables.parameters, names["parameters"], strict=True):
-        value = model.parameters[name].value
-        if value is not None:
-            values[leaf] = value
-    states = (*names["coordinates"], *names["speeds"], *names["auxiliary_states"])
-    return tuple(state_jumps(equations, states, _base_names(model, names["inputs"]), values))
+    inputs = _base_names(model, names["inputs"])
+    found: dict[tuple[str, str, bool], bool] = {}
+    for jump in equations.jumps:
+        key = _of_leaves(jump), "" if jump.input is None else inputs[jump.input], jump.is_known
+        found[key] = found.get(key, False) or jump.by_default
+    return tuple(StateJump(name, of, by_default, known) for (name, of, known), by_default in found.items())
 
 
 def _dependencies(model: Model, equations: Equations, names: Mapping[str, Sequence[str]]) -> Dependencies:

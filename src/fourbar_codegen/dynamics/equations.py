@@ -19,6 +19,7 @@ __all__ = [
     "Energy",
     "Equations",
     "Inputs",
+    "Jump",
     "PositionConstraints",
     "Variables",
     "VelocityConstraints",
@@ -245,6 +246,33 @@ class Drawing:
 
 
 @dataclass(frozen=True)
+class Jump:
+    """A jump of the equations of motion, or of the expression of an input, where a condition changes its sign.
+
+    Attributes
+    ----------
+    function : str
+        The name of the function that switches, such as "sign".
+    condition : Scalar
+    leaves : tuple of Scalar
+        Those of the state, the inputs and time that the condition depends on.
+    input : int or None
+        The number of the input in whose expression it stands.
+    by_default : bool
+        Whether it jumps with the known values of parameters, not only with others.
+    is_known : bool
+        Whether it is known that it jumps: not where the rows have no real value at any of the random states.
+    """
+
+    function: str
+    condition: Scalar
+    leaves: tuple[Scalar, ...]
+    input: int | None
+    by_default: bool
+    is_known: bool
+
+
+@dataclass(frozen=True)
 class Equations:
     """The equations of a mechanism over one tape.
 
@@ -265,6 +293,10 @@ class Equations:
     drawing : Drawing
     warnings : tuple of str
         A sentence for each inconsistency of the kinematics.
+    jumps : tuple of Jump
+        At times that are not known beforehand.
+    conditions : Result
+        The conditions of jumps that depend on the state or on inputs, each once, (n_conditions,).
     """
 
     tape: Tape
@@ -279,6 +311,8 @@ class Equations:
     quantities: Mapping[Role, tuple[Result, ...]]
     drawing: Drawing
     warnings: tuple[str, ...]
+    jumps: tuple[Jump, ...]
+    conditions: Result
 
     @property
     def results(self) -> tuple[Result, ...]:

@@ -46,6 +46,7 @@ from fourbar_codegen.dynamics.picture import applied_forces, find_picture
 from fourbar_codegen.dynamics.potential import Potential, find_potential
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
+from fourbar_codegen.dynamics.state_jumps import state_jumps
 from fourbar_codegen.dynamics.unknown_forces import (
     GeneralizedForces,
     UnknownForces,
@@ -126,7 +127,7 @@ def form_equations(model: Model) -> Equations:
     others = [*dynamics.residual.entries, *dynamics.coordinate_rates.entries]
     entry_of, inputs = _inputs(m, solved.convert, entries, closing, moving, others)
     variables = _variables(m, solved, tuple(entry_of), [*entries, *inputs.default.entries])
-    return Equations(
+    equations = Equations(
         tape=m.tape,
         variables=variables,
         inputs=inputs,
@@ -139,7 +140,14 @@ def form_equations(model: Model) -> Equations:
         quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture, variables)},
         drawing=drawing,
         warnings=warnings,
+        jumps=(),
+        conditions=vector("conditions", ()),
     )
+    jumps = state_jumps(
+        equations, {leaf: solved.values[leaf] for leaf in variables.parameters if leaf in solved.values}
+    )
+    conditions = dict.fromkeys(jump.condition for jump in jumps if jump.leaves != (variables.time,))
+    return replace(equations, jumps=jumps, conditions=vector("conditions", conditions))
 
 
 @dataclass(frozen=True)

@@ -12,13 +12,12 @@ import numpy as np
 import sympy as sm
 from numpy.typing import NDArray
 
-from fourbar_codegen.dynamics.equations import Equations
+from fourbar_codegen.dynamics.equations import Equations, Jump
 from fourbar_codegen.expressions.breakpoints import are_known, sides
 from fourbar_codegen.expressions.convert import apply
 from fourbar_codegen.expressions.tape import Call, Leaf, Reciprocal, Scalar, Tape
-from fourbar_codegen.layout import StateJump
 
-__all__ = ["StateJump", "state_jumps"]
+__all__ = ["state_jumps"]
 
 Floats = NDArray[np.float64]
 
@@ -54,25 +53,20 @@ class Outcome(Enum):
     """Wherever the function may jump, the rows have no real value."""
 
 
-def state_jumps(
-    equations: Equations, states: Sequence[str], inputs: Sequence[str], parameters: Mapping[Scalar, float]
-) -> list[StateJump]:
-    """The functions at which q', the residual of the equations of motion, or the expression of an input jumps.
+def state_jumps(equations: Equations, parameters: Mapping[Scalar, float]) -> tuple[Jump, ...]:
+    """Where q', the residual of the equations of motion, or the expression of an input jumps.
 
-    Without those that jump at times that follow from parameters alone.
+    Without jumps at times that follow from parameters alone.
 
     Parameters
     ----------
     equations : Equations
-    states, inputs : sequence of str
-        Their names.
     parameters : mapping of Scalar to float
         Values of parameters' leaves, where these are known.
     """
     e, tape = equations, equations.tape
     leaves = (*e.variables.state, *e.variables.inputs, e.variables.time)
-    names = (*states, *inputs, "t")
-    equations_of_motion = [("", (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries))]
+    equations_of_motion = [(None, (*e.dynamics.coordinate_rates.entries, *e.dynamics.residual.entries))]
 
     @cache
     def outcomes(boundary: Scalar, affected: tuple[Scalar, ...]) -> tuple[Outcome, Outcome]:
@@ -80,8 +74,8 @@ def state_jumps(
         own = _look(e, boundary, affected, parameters)
         return own, own if own is Outcome.JUMPS else _look(e, boundary, affected, {})
 
-    found: dict[tuple[str, str, bool], bool] = {}
-    for of, rows in (*equations_of_motion, *((n, (d,)) for n, d in zip(inputs, e.inputs.default.entries, strict=True))):
+    found: list[Jump] = []
+    for of, rows in (*equations_of_motion, *((i, (default,)) for i, default in enumerate(e.inputs.default.entries))):
         nodes = tape.reach(rows)
         calls = [*_moving_boundaries(tape, nodes, leaves)]
         affected: dict[int, tuple[Scalar, ...]] = {}
@@ -91,7 +85,7 @@ def state_jumps(
             affected[call] = tuple(row for row in rows if row.node in within[call])
         for call, function, boundary in calls:
             reached = set(tape.reach([boundary]))
-            by = [name for name, leaf in zip(names, leaves, strict=True) if leaf.node in reached]
+            by = tuple(leaf for leaf in leaves if leaf.node in reached)
             if not by or are_known(tape, e.variables.time, boundary):
                 continue
             # A function within another one that switches at the same place, such as a root in a branch, is not named.
@@ -103,10 +97,9 @@ def state_jumps(
                 continue
             own, other = outcomes(boundary, affected[call])
             if Outcome.JUMPS in (own, other) or {own, other} == {Outcome.UNKNOWN}:
-                is_known = own is not Outcome.UNKNOWN
-                key = f"{type(function).__name__} of {', '.join(by)}", of, is_known
-                found[key] = found.get(key, False) or own is not Outcome.STEADY
-    return [StateJump(name, of, by_these, is_known) for (name, of, is_known), by_these in found.items()]
+                is_known, by_default = own is not Outcome.UNKNOWN, own is not Outcome.STEADY
+                found.append(Jump(type(function).__name__, boundary, by, of, by_default, is_known))
+    return tuple(found)
 
 
 def _moving_boundaries(

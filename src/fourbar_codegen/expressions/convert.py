@@ -222,6 +222,24 @@ def expression_of(value: Number) -> sm.Expr:
     return sm.Rational(value.numerator, value.denominator) if isinstance(value, Fraction) else sm.sympify(value)
 
 
+def written_out(scalar: Scalar) -> sm.Expr:
+    """A scalar as a SymPy expression, with symbols of their names for leaves."""
+    known: dict[int, sm.Expr] = {ONE: sm.S.One}
+    for node in scalar.tape.reach([scalar]):
+        match scalar.tape.nodes[node]:
+            case Sum(terms):
+                known[node] = sm.Add(*[known[term] * expression_of(factor) for term, factor in terms])
+            case Product(factors):
+                known[node] = sm.Mul(*[known[factor] for factor in factors])
+            case Reciprocal(denominator):
+                known[node] = 1 / known[denominator]
+            case Call(expression, arguments):
+                known[node] = expression.xreplace({placeholder(i): known[a] for i, a in enumerate(arguments)})
+            case Leaf(kind, name):
+                known[node] = sm.Symbol(name or kind)
+    return known[scalar.node] * expression_of(scalar.coefficient)
+
+
 def _is_even_power(expression: sm.Expr) -> bool:
     return bool(expression.is_Pow and expression.exp.is_Integer and expression.exp.is_even)
 

@@ -154,6 +154,7 @@ def _draft_functions(drafts: _Drafts, structure: Structure | None, recursion: Re
     add(Role.CONSTRAINT_SCALE, e.positions.scale, e.positions.violation_scale, e.velocities.violation_scale)
     add(Role.INVARIANT_CORRECTION, e.positions.invariant_correction)
     add(Role.COORDINATE_CHANGE, e.dynamics.coordinate_change, further=_array("change", e.variables.accelerations))
+    add(Role.CONDITIONS, e.conditions)
     add(Role.ENERGY, e.energy.energies)
     add(Role.OUTPUT, e.outputs)
     add(Role.STATE_RATES, e.dynamics.state_rates)
@@ -192,6 +193,7 @@ def _sizes(e: Equations, rank: int, n_constants: int) -> Sizes:
         n_points=len(e.drawing.picture.points),
         n_forces=len(e.drawing.forced),
         n_breakpoints=len(e.inputs.breakpoints.entries),
+        n_conditions=len(e.conditions.entries),
         rank=rank,
         n_constants=n_constants,
     )

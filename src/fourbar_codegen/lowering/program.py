@@ -222,6 +222,8 @@ class Sizes:
         Drawn points, and those of them with forces of inputs.
     n_breakpoints : int
         Breakpoints, times at which expressions of time may have a jump or a kink.
+    n_conditions : int
+        Of jumps of the equations of motion at times that are not known beforehand.
     rank : int
         The number of velocity constraints that are not redundant: that of dependent speeds, or fewer.
     n_constants : int
@@ -241,6 +243,7 @@ class Sizes:
     n_points: int
     n_forces: int
     n_breakpoints: int
+    n_conditions: int
     rank: int
     n_constants: int
 

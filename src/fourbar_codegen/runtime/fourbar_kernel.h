@@ -16,7 +16,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FB_ABI_VERSION 24
+#define FB_ABI_VERSION 25
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -101,6 +101,7 @@ typedef struct fb_kernel {
     int32_t n_i;           /* invariants: position constraints that no speed changes, such as norms of quaternions */
     int32_t n_o;           /* outputs */
     int32_t n_breakpoints; /* times at which expressions of time may have a jump or a kink */
+    int32_t n_conditions;  /* of jumps of the equations of motion at times that are not known beforehand */
     int32_t n_points;      /* drawn points */
     int32_t n_forces;      /* drawn points on which forces of inputs act */
     int32_t n_constants;

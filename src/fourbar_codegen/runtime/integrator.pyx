@@ -110,6 +110,10 @@ cdef extern from "run/driver.h":
         double *along
         int look_at_all
         fb_singular singular
+    ctypedef struct fb_chattering:
+        double *values
+        int condition
+        double value
     ctypedef struct fb_observer:
         fb_observer *next
     ctypedef struct fb_run:
@@ -117,6 +121,7 @@ cdef extern from "run/driver.h":
         double direction, t_bound, t_end, max_step, h_abs
         fb_samples samples
         fb_watch watch
+        fb_chattering chattering
         fb_observer *observers
     int fb_begin(fb_run *) noexcept nogil
     int fb_step(fb_run *) noexcept nogil
@@ -876,11 +881,12 @@ cdef class Run:
             self.foreign, steps, stepper.own = method, &_foreign_method, <void *>self
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
         self.origin, self.t_begin, self.since_begin, self.t_bound, self.times = t, t, 0.0, t_bound, times
-        self.kept.append(_place(stepper, ode, steps, tableau, 3 * FB_PADDED(n) + 2 * n, &memory))
+        self.kept.append(_place(stepper, ode, steps, tableau, 4 * FB_PADDED(n) + 2 * n, &memory))
         stepper.project = project
         stepper.rtol, stepper.atol = _fill(memory, rtol, n), _fill(memory + n, atol, n)
         watch.along = memory + 2 * n
         watch.singular.x = watch.along + 2 * FB_PADDED(n)
+        run.chattering.values = <double *>self._keep(np.zeros(4 * ode.evaluator.kernel.n_conditions))
         memcpy(stepper.x, data(state), n * sizeof(double))
         run.direction, run.t_bound, run.max_step = 1.0 if t_bound > t else -1.0, t_bound - t, max_step
         run.samples.until = run.t_end = run.t_bound
@@ -1165,6 +1171,11 @@ cdef class Run:
         cdef cnp.ndarray x = new_array(self.run.stepper.n)
         memcpy(data(x), singular.x, self.run.stepper.n * sizeof(double))
         return _SINGULAR[singular.how], singular.ratio, self.origin + singular.t, x
+
+    @property
+    def jump(self):
+        """The number of the condition of a jump beside which a run chatters, and its value."""
+        return self.run.chattering.condition, self.run.chattering.value
 
     @property
     def t(self):

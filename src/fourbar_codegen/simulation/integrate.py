@@ -43,6 +43,12 @@ NOT_SOLVED = (
     "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
     'singular position, method="DOP853" selects its step size itself.'
 )
+CHATTERING = (
+    "The equations jump at {}, and lead the motion back to the jump from both sides, as dry friction does where it "
+    "sticks (the condition is {:.1e} there): the run would go on in ever more steps. Make the force continuous, for "
+    "instance by tanh(v/v_0) with a small speed v_0 instead of sign(v), or end the run by a terminal event and go on "
+    "with a model that sticks."
+)
 FAILED = {
     StopReason.TOO_SMALL: "Required step size is less than spacing between numbers. Is an input or a load "
     "discontinuous there? Jumps of tables and of the model's expressions are found, those of callables are not: end "
@@ -254,6 +260,10 @@ class _Integration:
                 self.watch.forget(run, self.options.t_span[1] - self.options.t_span[0])
             self.status, self.singular = -1, singular_message(self.model, run)
             self.message = self.singular
+        elif reason is StopReason.CHATTERING:
+            number, value = run.jump
+            condition = self.model.layout.breakpoints.conditions[number]
+            self.status, self.message = -1, CHATTERING.format(condition, value)
         elif reason is not StopReason.COLLAPSED:
             own = self.foreign.message if self.foreign and reason is StopReason.FAILED else FAILED.get(reason, "")
             self.status, self.message = -1, run.ode.failure or own

@@ -33,7 +33,7 @@
 #endif
 
 /* The rows of a run: those of its stepper, and three that it looks along. */
-enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 3 };
+enum { N_PADDED = FB_PADDED(N_X), N_ROWS = FB_STEPPER_ROWS + 4 };
 
 /* What a mechanism needs between calls: the constants, the workspace of the equations, and the state and the stages of
  * a step. */
@@ -42,6 +42,7 @@ typedef struct fb_own {
     double rows[N_ROWS * N_PADDED];
     double rtol[N_X], atol[N_X];
     double failed_x[N_X], moved_x[N_X];
+    double conditions[FB_AT_LEAST_1(4 * N_CONDITIONS)];
     double inputs[FB_AT_LEAST_1(N_R)];
     fb_source sources[FB_AT_LEAST_1(N_R)];
     fb_table tables[FB_AT_LEAST_1(N_R)];
@@ -166,6 +167,7 @@ static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
     stepper->n_steps = stepper->n_evaluations = 0;
     stepper->fsal = stepper->interpolant_valid = run->pace.collapsed = 0;
     run->watch.singular.x = run->watch.along + 2 * N_PADDED;
+    run->chattering.values = own->conditions;
     return run;
 }
 
@@ -433,6 +435,8 @@ static int status_of_stop(fb_run *run, const int reason)
     const int status = run->stepper.problem->status;
     if (reason == FB_RUN_SINGULAR || (reason == FB_RUN_PAUSED && fb_stops_at_singular_position(run, reason) > 0))
         return FB_SINGULAR_POSITION;
+    if (reason == FB_RUN_CHATTERING)
+        return FB_CHATTERING;
     return status != FB_OK ? status : reason == FB_RUN_PAUSED ? FB_TOO_MANY_STEPS : FB_STEP_TOO_SMALL;
 }
 

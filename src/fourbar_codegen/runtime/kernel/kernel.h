@@ -55,6 +55,7 @@ const fb_kernel FB_TABLE(kernel) = {
     .n_i = N_I,
     .n_o = N_O,
     .n_breakpoints = N_BREAKPOINTS,
+    .n_conditions = N_CONDITIONS,
     .n_points = N_POINTS,
     .n_forces = N_FORCES,
     .n_constants = N_CONSTANTS,

@@ -146,6 +146,8 @@ static inline void fb_problem_results(const fb_problem *s, const enum FB_ROLE ro
     (void)arguments;
     if (role == FB_OUTPUT)
         output(t, x, s->constants, s->inputs, accelerations, multipliers, results[0]);
+    else if (role == FB_CONDITIONS)
+        conditions(t, x, s->constants, s->inputs, results[0]);
     else if (role == FB_ENERGY)
         energy(t, x, s->constants, s->inputs, results[0]);
     else if (role == FB_MOMENTA)

@@ -22,6 +22,7 @@ typedef struct fb_lanes {
     int64_t member[FB_WIDTH], next_time[FB_WIDTH], n_steps[FB_WIDTH];
     double h_abs[FB_WIDTH], bound[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
+    fb_step_lengths lengths[FB_WIDTH];
     fb_real first, last; /* of their clocks */
     fb_lane_signs signs; /* not of sparse equations */
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
@@ -183,6 +184,7 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
         c->member[lane] = member;
         c->next_time[lane] = c->n_steps[lane] = 0;
         c->rejected[lane] = c->next_break[lane] = 0;
+        c->lengths[lane] = (fb_step_lengths){0.0, 0.0, 0.0};
         c->bound[lane] = fb_lanes_segment(c, e, lane);
         c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
         double *const x = e->x + member * N_X;
@@ -361,8 +363,8 @@ static void fb_lanes_propose(fb_lanes *restrict c, const fb_ensemble *e, double 
 
 /* The lengths of the next steps, by the errors of these, of which some were taken; returns the lanes that have passed a
  * breakpoint. */
-static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const double *errors, const fb_mask taken,
-                                const double *t_new, const double *proposed)
+static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *errors,
+                                const fb_mask taken, const double *t_new, const double *proposed)
 {
     fb_mask passed = taken & 0;
     for (int lane = 0; lane < FB_WIDTH; ++lane) {
@@ -382,6 +384,9 @@ static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, cons
                 c->bound[lane] = fb_lanes_segment(c, e, lane);
                 passed[lane] = -1;
             }
+            if (N_CONDITIONS > 0 && c->active[lane] &&
+                fb_short_steps(&c->lengths[lane], h[lane], c->n_steps[lane], fabs(e->t_bound)) > 0.0)
+                fb_leave(c, e, lane, FB_MEMBER_LEFT); /* it may chatter */
         }
     }
     return passed;
@@ -423,7 +428,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
     }
     c->t = fb_select(taken, t_end, c->t);
-    const fb_mask passed = fb_lanes_control(c, e, errors, taken, t_new, proposed);
+    const fb_mask passed = fb_lanes_control(c, e, h, errors, taken, t_new, proposed);
     if (fb_any(passed)) { /* see fb_resume */
         fb_real rates[N_X];
         fb_lanes_rates(c, e, c->t, c->x, passed, rates);

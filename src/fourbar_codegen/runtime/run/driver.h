@@ -3,6 +3,7 @@
 #define FOURBAR_DRIVER_H
 
 #include "accepted_step.h"
+#include "chattering.h"
 #include "events.h"
 #include "segments.h"
 #include "singular_stop.h"
@@ -65,6 +66,17 @@ static inline int fb_is_full(const fb_run *r)
     return 0;
 }
 
+/* Why a step fails, or steps collapse: at a singular position, beside a jump of the equations, or for a reason of their
+ * own. */
+static inline int fb_cause(fb_run *r, const int reason)
+{
+    const int is_singular = fb_stops_at_singular_position(r, reason);
+    if (is_singular != 0)
+        return is_singular < 0 ? is_singular : FB_RUN_SINGULAR;
+    const int chatters = reason == FB_RUN_COLLAPSED ? 0 : fb_fails_beside_jump(r, reason);
+    return chatters < 0 ? chatters : chatters ? FB_RUN_CHATTERING : reason;
+}
+
 /* Up to n steps; returns an FB_RUN, or negative from the callback of inputs. */
 static inline int fb_run_on(fb_run *r, int64_t n)
 {
@@ -85,14 +97,14 @@ static inline int fb_run_on(fb_run *r, int64_t n)
             return FB_RUN_PAUSED;
         if (fb_is_full(r))
             return FB_RUN_FULL;
-        int status = fb_has_collapsed(r) ? FB_RUN_COLLAPSED : fb_observed_step(r);
-        if (status > FB_RUN_PAUSED) {
-            const int is_singular = fb_stops_at_singular_position(r, status);
-            return is_singular < 0 ? is_singular : is_singular ? FB_RUN_SINGULAR : status;
-        }
+        int status = fb_look_for_chattering(r);
         if (status != FB_RUN_PAUSED)
             return status;
-        status = fb_look(r);
+        status = fb_has_collapsed(r) ? FB_RUN_COLLAPSED : fb_observed_step(r);
+        if (status > FB_RUN_PAUSED)
+            return fb_cause(r, status);
+        if (status == FB_RUN_PAUSED)
+            status = fb_look(r);
         if (status != FB_RUN_PAUSED)
             return status;
     }

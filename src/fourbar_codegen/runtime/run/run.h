@@ -64,12 +64,27 @@ typedef struct fb_watch {
     int ended_by;    /* the number of the event that ends the run, or -1 */
     fb_called_event *call;
     void *caller;
-    int probes;      /* whether functions are evaluated beside the run, where they may have no value */
-    double *along;   /* (3, padded): a state within the last step, x' there, and the state at a singular position */
+    int probes;    /* whether functions are evaluated beside the run, where they may have no value */
+    double *along; /* (4, padded): a state within the last step, x' there, the state at a singular position, scratch */
     int look_at_all; /* whether to examine every step */
     int is_singular; /* whether the last step passes a singular position */
     fb_singular singular;
 } fb_watch;
+
+/* The sums of the lengths of steps and of their squares, and the first one at the last look. */
+typedef struct fb_step_lengths {
+    double sum, squares, looked;
+} fb_step_lengths;
+
+/* Chattering at a jump of the equations of motion. */
+typedef struct fb_chattering {
+    double *values; /* (4, n_conditions): of the conditions, and how fast they change, on both sides */
+    fb_step_lengths lengths;
+    int64_t noted; /* the number of the last step in these */
+    int in_a_row;  /* looks in a row that found the run beside a jump */
+    int condition; /* where the run ends: the number of the condition, and its value */
+    double value;
+} fb_chattering;
 
 /* How fast a run proceeds, by which its steps are found to have collapsed. */
 typedef struct fb_pace {
@@ -102,6 +117,7 @@ typedef struct fb_run {
     fb_samples samples;
     fb_watch watch;
     fb_pace pace;
+    fb_chattering chattering;
     fb_observer *observers; /* the first, or NULL */
 } fb_run;
 

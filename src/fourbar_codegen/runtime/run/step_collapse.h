@@ -42,4 +42,23 @@ static inline int fb_has_collapsed(fb_run *r)
     return r->observers && s->n_steps - pace->marked == FB_WINDOW && fb_derivatives_collapsed(r);
 }
 
+/* Steps take too long, so that a jump of the equations may be the reason, if so many of them are shorter than a
+ * fraction of the average over time, or the run would take more than so many. */
+enum { FB_STEPS_BETWEEN_LOOKS = 50 };
+#define FB_SHORT_RATIO 1e-4
+#define FB_TOO_MANY 1e6
+
+/* Notes the length of a step, whose number it is; returns whether the last ones were so short: their mean, or 0. */
+static inline double fb_short_steps(fb_step_lengths *lengths, const double h, const int64_t number,
+                                    const double length_of_run)
+{
+    lengths->sum += fabs(h);
+    lengths->squares += h * h;
+    if (number % FB_STEPS_BETWEEN_LOOKS != 0)
+        return 0.0;
+    const double mean = (lengths->sum - lengths->looked) / FB_STEPS_BETWEEN_LOOKS;
+    lengths->looked = lengths->sum;
+    return mean * lengths->sum < FB_SHORT_RATIO * lengths->squares || mean * FB_TOO_MANY < length_of_run ? mean : 0.0;
+}
+
 #endif

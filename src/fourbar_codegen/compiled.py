@@ -1136,6 +1136,7 @@ class CompiledModel(Kernel):
         parameters: ArrayLike | Mapping[Any, ArrayLike] | None = None,
         inputs: Mapping[Any, InputSource | Floats] | None = None,
         t_eval: ArrayLike | None = None,
+        events: EventLike | Sequence[EventLike] | None = None,
         rtol: float = 1e-6,
         atol: float | ArrayLike = 1e-9,
         constraints: str = "project",
@@ -1156,7 +1157,8 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
             One initial state for all members, or one for each; in a mapping, numbers or arrays of length n. By default,
             `initial_state` is solved for each set of parameters.
-        method : {"DOP853", "RK45", "Tsit5"}, optional
+        method : {"DOP853", "RK45", "Tsit5", "ALI3P"}, optional
+            ALI3P runs one member at a time on each core.
         parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
             Likewise; the defaults otherwise.
         inputs : mapping of input to source, optional
@@ -1164,6 +1166,8 @@ class CompiledModel(Kernel):
             one after another.
         t_eval : array_like, optional
             Times at which to store the states; by default the first and the last one.
+        events : str, callable, `Event`, or list of these, optional
+            As for `simulate`. A terminal event ends its member alone.
         rtol, atol, constraints, max_step, max_steps
             As for `simulate`.
         workers : int, optional
@@ -1200,7 +1204,7 @@ class CompiledModel(Kernel):
 
         return run(
             self, x0, parameters, inputs, workers=workers, parallel=parallel, progress=progress,
-            t_span=t_span, method=method, t_eval=t_eval, rtol=rtol, atol=atol, constraints=constraints,
+            t_span=t_span, method=method, t_eval=t_eval, events=events, rtol=rtol, atol=atol, constraints=constraints,
             max_step=max_step, max_steps=max_steps,
         )  # fmt: skip
 

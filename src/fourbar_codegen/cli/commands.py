@@ -242,10 +242,10 @@ def _with_others(ran: Ensemble, places: Any, parameters: Any, failures: Mapping[
     import numpy as np
 
     n = len(parameters)
-    y, success, nfev = np.full((n, *ran.y.shape[1:]), np.nan), np.zeros(n, dtype=bool), np.zeros(n, dtype=int)
-    y[places], success[places], nfev[places] = ran.y, ran.success, ran.nfev
+    y, status, nfev = np.full((n, *ran.y.shape[1:]), np.nan), np.full(n, -1), np.zeros(n, dtype=int)
+    y[places], status[places], nfev[places] = ran.y, ran.status, ran.nfev
     messages = {**failures, **dict(zip(places.tolist(), ran.messages, strict=True))}
-    return replace(ran, y=y, success=success, nfev=nfev, parameters=parameters,
+    return replace(ran, y=y, status=status, nfev=nfev, parameters=parameters,
                    messages=tuple(messages[place] for place in range(n)))  # fmt: skip
 
 

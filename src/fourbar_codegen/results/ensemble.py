@@ -38,9 +38,12 @@ class Ensemble:
     t : ndarray, shape (n_t,)
         Times, s.
     y : ndarray, shape (n, n_x, n_t)
-        ``y[i]`` contains the states of member i, as in a `Trajectory`; NaN after a failure.
-    success : ndarray of bool, shape (n,)
-        Whether each member reached the end.
+        ``y[i]`` contains the states of member i, as in a `Trajectory`; NaN after its end.
+    t_events, y_events : list of list of ndarray, or None
+        ``t_events[k][i]`` has the times of event k in member i, ``y_events[k][i]`` the states, shape (n_events, n_x).
+    status : ndarray of int, shape (n,)
+        As in a `Trajectory`: 0 for members that reached the end of the time span, 1 for those that a terminal event
+        ended, -1 for those that failed.
     messages : tuple of str
         Why each member ended.
     nfev : ndarray of int, shape (n,)
@@ -63,7 +66,9 @@ class Ensemble:
     model: Kernel
     t: Floats
     y: Floats
-    success: NDArray[np.bool_]
+    t_events: list[list[Floats]] | None
+    y_events: list[list[Floats]] | None
+    status: NDArray[np.int_]
     messages: tuple[str, ...]
     nfev: NDArray[np.int_]
     parameters: Floats
@@ -77,7 +82,7 @@ class Ensemble:
         """A member by its number, as a `Trajectory`; or a quantity of all members by its name.
 
         Names are those of a `Trajectory`: a state, input, output, ``"energy"``, ... The shape is (n, n_t), for a point
-        (n, 3, n_t), with NaN after the failure of a member. ``"t"`` gives the times, shape (n_t,).
+        (n, 3, n_t), with NaN after the end of a member. ``"t"`` gives the times, shape (n_t,).
         """
         if is_integer(key):
             return self._member(int(key))
@@ -88,7 +93,7 @@ class Ensemble:
             return self.y[:, self.model.states.index(name)]
         if name == "t":
             return self.t
-        rows = [member[name] for member in self]
+        rows = [member[name][..., : np.isfinite(y).all(axis=0).sum()] for member, y in zip(self, self.y, strict=True)]
         if not rows:
             raise ModelError(f"The ensemble has no members, and {name!r} has no values.")
         values = np.full((len(rows), *rows[0].shape[:-1], len(self.t)), np.nan)
@@ -102,15 +107,29 @@ class Ensemble:
             raise IndexError(f"member {key} of {n}")
         member = key % n
         reached = np.isfinite(self.y[member]).all(axis=0)
-        t, y = self.t[reached], self.y[member][:, reached]
+        t, y, status = self.t[reached], self.y[member][:, reached], int(self.status[member])
+        t_events, y_events = (
+            None if of_all is None else [of_event[member] for of_event in of_all]
+            for of_all in (self.t_events, self.y_events)
+        )
+        if status == 1 and t_events and y_events:  # the last event is the last sample
+            direction = np.sign(self.settings["t_span"][1] - self.settings["t_span"][0])
+            ends = [direction * times[-1] if len(times) else -np.inf for times in t_events]
+            last = int(np.argmax(ends))
+            if t_events[last][-1] not in t:
+                t, y = np.append(t, t_events[last][-1]), np.column_stack((y, y_events[last][-1]))
         parameters, inputs = self.parameters[member].copy(), inputs_of(self.inputs, member)
         ode = bind(self.model, parameters, inputs)
-        success = bool(self.success[member])
         return Trajectory(
-            model=self.model, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=None,
-            y_events=None, nfev=int(self.nfev[member]), njev=0, nlu=0, status=0 if success else -1, success=success,
+            model=self.model, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=t_events,
+            y_events=y_events, nfev=int(self.nfev[member]), njev=0, nlu=0, status=status, success=status >= 0,
             message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """Whether each member reached the end, or a terminal event, shape (n,)."""
+        return self.status >= 0
 
     @property
     def varied(self) -> dict[str, Floats]:

@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from fourbar_codegen.runtime.batch import DONE, Members, width
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
 from fourbar_codegen.simulation.integrate import REACHED_END
-from fourbar_codegen.simulation.options import RunOptions
+from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 from fourbar_codegen.simulation.simulate import simulate
 
 __all__ = ["run"]
@@ -49,7 +49,7 @@ def run(
     **given: Any,
 ) -> Ensemble:
     """Simulate many members; see `CompiledModel.ensemble`."""
-    one_of(given["method"], METHODS, "method for ensembles")
+    one_of(given["method"], (*METHODS, FIXED_STEP), "method for ensembles")
     projects(model, given["constraints"])  # "baumgarte" is allowed for single runs only
     options = RunOptions.of(model, **given)
     if options.t_eval is None:
@@ -69,13 +69,14 @@ def run(
 
     # disable=None: no progress bar without a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=QUIET_SECONDS, disable=None if shows_bar else True) as bar:
-        if parallel is None or not n:
-            y, success, messages, nfev = _on_threads(runs, workers, bar)
-        else:
-            y, success, messages, nfev = _on_engine(runs, parallel, bar)
+        found = _on_threads(runs, workers, bar) if parallel is None or not n else _on_engine(runs, parallel, bar)
+    t_events, y_events = (
+        None if options.events is None else [[of[kind][i] for of in found.events] for i in range(len(options.events))]
+        for kind in (0, 1)
+    )
     return Ensemble(
-        model=model, t=options.t_eval, y=y, success=success, messages=messages, nfev=nfev, parameters=p, inputs=inputs,
-        settings=options.settings(),
+        model=model, t=options.t_eval, y=found.y, t_events=t_events, y_events=y_events, status=found.status,
+        messages=tuple(found.messages), nfev=found.nfev, parameters=p, inputs=inputs, settings=options.settings(),
     )  # fmt: skip
 
 
@@ -148,8 +149,14 @@ def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
     return sources
 
 
-Results = tuple[Floats, NDArray[np.bool_], tuple[str, ...], NDArray[np.int_]]
-"""States, success, messages and numbers of evaluations of all members."""
+class _Results(NamedTuple):
+    """Samples, statuses, messages and numbers of evaluations of all members; times and states of the events of each."""
+
+    y: Floats
+    status: NDArray[np.int_]
+    messages: list[str]
+    nfev: NDArray[np.int_]
+    events: list[tuple[list[Floats], list[Floats]]]
 
 
 @dataclass(frozen=True)
@@ -173,12 +180,15 @@ class _Runs:
         return replace(self, states=self.states[members], parameters=self.parameters[members], inputs=inputs)
 
 
-def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
+def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
     """Simulate in SIMD lanes where possible, the other members one by one."""
     model, options, states, n = runs.model, runs.options, runs.states, len(runs.states)
     assert options.t_eval is not None
     y: Floats | None = None
-    success, nfev, messages = np.zeros(n, dtype=bool), np.zeros(n, dtype=int), [REACHED_END] * n
+    status, nfev, messages = np.full(n, -1), np.zeros(n, dtype=int), [REACHED_END] * n
+    n_events = len(options.events or ())
+    none = [[np.empty(shape)] * n_events for shape in (0, (0, model.n_x))]
+    events = [(none[0], none[1])] * n
     stopped = threading.Event()
 
     def check(_: float) -> None:
@@ -192,8 +202,11 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
             messages[member] = str(error)
             return
         assert y is not None
-        y[member, :, : len(found.t)] = found.y
-        success[member], messages[member], nfev[member] = found.success, found.message, found.nfev
+        assert options.t_eval is not None
+        n_samples = len(found.t) - (found.status == 1 and found.t[-1] not in options.t_eval)
+        y[member, :, :n_samples] = found.y[:, :n_samples]
+        status[member], messages[member], nfev[member] = found.status, found.message, found.nfev
+        events[member] = found.t_events or [], found.y_events or []
 
     sources = _sources(model, runs.inputs, n)
     called = any(map(callable, sources))
@@ -205,7 +218,8 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
     # Callables may have internal state, so members with callables do not run concurrently.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            breaks = _breaks(runs) if width(model) > 1 and not called else None
+            in_lanes = options.method in METHODS and not options.events and width(model) > 1 and not called
+            breaks = _breaks(runs) if in_lanes else None
             if breaks is not None:
                 moved = states.copy()
                 rtol, atol = (np.array(np.broadcast_to(value, model.n_x)) for value in (options.rtol, options.atol))
@@ -216,9 +230,9 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
                     bar.update(members.n_ended - bar.n)
-                success = (members.status == DONE) & is_rounded(model.n_q, model.n_u, states, moved)
+                status[(members.status == DONE) & is_rounded(model.n_q, model.n_u, states, moved)] = 0
                 y, nfev = members.samples, members.n_evaluations
-                waiting = np.flatnonzero(~success)
+                waiting = np.flatnonzero(status < 0)
                 y[waiting], nfev[waiting] = np.nan, 0
             else:
                 y = np.full((n, model.n_x, len(options.t_eval)), np.nan)
@@ -234,7 +248,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> Results:
                 task.cancel()
             raise
     assert y is not None
-    return y, success, tuple(messages), nfev
+    return _Results(y, status, messages, nfev, events)
 
 
 def _breaks(runs: _Runs) -> Floats | None:
@@ -272,21 +286,24 @@ def _finished(tasks: Sequence[Future[None]]) -> Iterator[int]:
         yield len(done)
 
 
-def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> Results:
+def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> _Results:
     """Simulate blocks of members with joblib."""
     from joblib import delayed
 
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(runs.states), BLOCK)]
     tasks = (delayed(_block)(number, runs.block(members)) for number, members in enumerate(blocks))
-    parts: dict[int, Results] = {}
+    parts: dict[int, _Results] = {}
     for number, part in parallel(tasks):  # in order of arrival
         parts[number] = part
-        bar.update(len(part[0]))
-    y, success, messages, nfev = zip(*(parts[number] for number in range(len(blocks))), strict=True)
-    return np.concatenate(y), np.concatenate(success), tuple(itertools.chain(*messages)), np.concatenate(nfev)
+        bar.update(len(part.y))
+    y, status, messages, nfev, events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
+    return _Results(
+        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev),
+        [*itertools.chain(*events)],
+    )  # fmt: skip
 
 
-def _block(number: int, runs: _Runs) -> tuple[int, Results]:
+def _block(number: int, runs: _Runs) -> tuple[int, _Results]:
     from tqdm import tqdm
 
     return number, _on_threads(runs, 1, tqdm(disable=True))

@@ -159,7 +159,7 @@ class Watch:
     """
 
     def __init__(self, model: Kernel, events: Sequence[Event], *, differentiates: bool = False) -> None:
-        self.events, self.differentiates = events, differentiates
+        self.events, self.differentiates, self.n_x = events, differentiates, model.n_x
         self.derivatives: list[list[_Slopes]] = [[] for _ in events]
         self.times: list[list[float]] = [[] for _ in events]
         self.states: list[list[Floats]] = [[] for _ in events]
@@ -191,6 +191,10 @@ class Watch:
         for i, times in enumerate(self.times):
             n = sum(direction * (t - run.t) <= 0.0 for t in times)
             del times[n:], self.states[i][n:], self.derivatives[i][n:]
+
+    def state_arrays(self) -> list[Floats]:
+        """The states of each event, shape (n_events, n_x)."""
+        return [np.reshape(states, (len(states), self.n_x)) for states in self.states]
 
     def touched(self, run: Run, begin: float, end: float) -> str:
         """Sentences on functions that were zero without a change of sign, in a run from one time to another."""

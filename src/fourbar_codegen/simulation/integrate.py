@@ -289,7 +289,7 @@ class _Integration:
             r=ode.inputs_along(input_times, y),
             sol=self.dense or None,  # None if there are no steps
             t_events=None if options.events is None else [np.array(times) for times in watch.times] if watch else [],
-            y_events=None if options.events is None else [np.array(states) for states in watch.states] if watch else [],
+            y_events=None if options.events is None else watch.state_arrays() if watch else [],
             nfev=run.n_evaluations,
             njev=run.n_jacobians,
             nlu=run.n_factorizations,

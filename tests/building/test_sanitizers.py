@@ -344,12 +344,32 @@ static double together(const fb_kernel *k, const double *p, const double *x0, co
         .breaks = {.n = 1, .times = table_times + 1, .before = table_times + 1, .after = table_times + 1,
                    .first = -INFINITY, .last = INFINITY},
         .rtol = tolerance, .atol = tolerance, .times = times, .n_times = 3, .samples = samples,
-        .status = status, .n_evaluations = counts, .next = &next, .n_ended = &ended, .stop = &stop,
+        .status = status, .n_evaluations = counts, .counters = {&next, &ended, &stop},
     };
     on_threads(k, NULL, &e, 0);
     sum += samples[2];
     e.n = next = ended = 0;
     on_threads(k, NULL, &e, 0);
+    /* with events, first those that are known in lanes */
+    const fb_event events[] = {
+        {.quantity = FB_WATCHED_STATE, .all_roots = 1, .touched = NAN},
+        {.quantity = FB_WATCHED_TIME, .all_roots = 1, .touched = NAN},
+        {.quantity = k->n_o > 0 ? FB_WATCHED_OUTPUT : FB_WATCHED_STATE, .all_roots = 1, .terminal = 2, .touched = NAN},
+        {.quantity = FB_WATCHED_ENERGY, .row = 1, .at_start = 1, .touched = NAN},
+    };
+    for (int i = 3; i < 5; ++i) {
+        fb_found_rows *found = NULL;
+        e.events = (fb_ensemble_events){i, events, fb_begin_events, fb_excludes_events, fb_find_events, &found};
+        e.n = N, next = ended = 0;
+        memset(status, 0, sizeof status);
+        on_threads(k, NULL, &e, 0);
+        while (found) {
+            fb_found_rows *const rest = found->next;
+            sum += (double)found->n;
+            free(found->rows), free(found);
+            found = rest;
+        }
+    }
     free(x), free(ps), free(rates), free(samples), free(values), free(tolerance);
     return sum;
 }

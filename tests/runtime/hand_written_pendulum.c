@@ -19,6 +19,7 @@
 #define ROWS 1
 #endif
 
+#define FB_OUTPUTS_NEED_SOLUTION
 enum {
     N_Q = 2,
     N_U = 2,

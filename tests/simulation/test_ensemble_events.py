@@ -40,7 +40,7 @@ def check(ensemble, runs, atol):
 EVENTS = {
     "states": ["u1", fb.Event("q2", direction=-1)],
     "outputs": ["sine", fb.Event("turning", all_roots=False)],
-    "others": ["kinetic_energy", "lambda1", "spin_z", fb.Event("t")],
+    "others": ["potential_energy", "lambda1", "spin_z", fb.Event("t")],
     "callable": [lambda t, x: math.sin(7.0 * t)],
     "terminal": [fb.Event("u1", terminal=2), "q1"],
     "some terminal": [fb.Event(lambda t, x: x[0] + 0.85, terminal=True, direction=-1)],

@@ -56,9 +56,12 @@ LOOP_COST = 3
 
 VECTORIZED = {
     Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
-    Role.COORDINATE_CHANGE, Role.STATE_RATES,
+    Role.COORDINATE_CHANGE, Role.STATE_RATES, Role.OUTPUT,
 }  # fmt: skip
 """The functions that are also evaluated for batches of states, in the lanes of vectors; see lanes/lane_equations.h."""
+
+MAY_BE_MISSING = {Role.STATE_RATES, Role.OUTPUT}
+"""Those of them that are not called if they have no results."""
 
 N_EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""
@@ -123,6 +126,8 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         factors=factors,
         states_need_solution=e.tape.depends(state_rates, (*v.accelerations, *v.multipliers)),
         states_need_multipliers=states_need_multipliers,
+        outputs_need_solution=e.tape.depends(e.outputs.entries, (*v.accelerations, *v.multipliers)),
+        outputs_need_multipliers=e.tape.depends(e.outputs.entries, v.multipliers),
         forces_are_linear=e.driving_forces.are_linear,
     )
 
@@ -332,7 +337,10 @@ class _Drafts:
     def add(self, role: Role, *results: Result, further: Array | None = None) -> None:
         """Draft a function of a state, with a further vector if it takes one."""
         draft = self._of_state(role, results, () if further is None else (further,))
-        is_vectorized = role in VECTORIZED and (role is not Role.STATE_RATES or any(r.entries for r in results))
+        is_vectorized = role in VECTORIZED and (role not in MAY_BE_MISSING or any(r.entries for r in results))
+        if role is Role.OUTPUT:  # lanes do not solve for multipliers
+            entries = [entry for result in results for entry in result.entries]
+            is_vectorized &= not self.equations.tape.depends(entries, self.equations.variables.multipliers)
         self.drafts.append(replace(draft, role=role, is_vectorized=is_vectorized))
 
     def add_jvp(self, role: Role, results: Sequence[Result], direction: Array) -> None:

@@ -271,6 +271,8 @@ class Program:
         For recursive equations, the factors of M in `dynamics`; None for others.
     states_need_solution, states_need_multipliers : bool
         Whether state equations contain u' or multipliers; whether they contain multipliers.
+    outputs_need_solution, outputs_need_multipliers : bool
+        Likewise for outputs.
     forces_are_linear : bool
         Whether the equations are linear in the unknown forces that drive the motion.
     """
@@ -285,6 +287,8 @@ class Program:
     factors: Factors | None
     states_need_solution: bool
     states_need_multipliers: bool
+    outputs_need_solution: bool
+    outputs_need_multipliers: bool
     forces_are_linear: bool
 
     @property

@@ -11,6 +11,7 @@ from fourbar_codegen.runtime.evaluator import Evaluator
 Floats = NDArray[np.float64]
 
 DONE: int
+TERMINATED: int
 
 def width(evaluator: Evaluator) -> int: ...
 
@@ -52,7 +53,10 @@ class Members:
         times: Floats,
         breaks: Floats,
         max_steps: int,
+        events: Sequence[tuple[int, int, int, int, bool, bool]],
     ) -> None: ...
+    @property
+    def found(self) -> Floats: ...
     def run(self) -> None: ...
     def stop(self) -> None: ...
     @property

@@ -4,7 +4,10 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
+from libc.math cimport NAN
 from libc.stdint cimport int8_t, int64_t
+from libc.stdlib cimport free
+from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_CONSTRAINT_JVP, FB_STATE_PARTIALS, Evaluator, data, fb_batch_functions, fb_kernel, fb_source)
@@ -25,6 +28,28 @@ cdef extern from "lanes/batch.h":
         double *rates
     int fb_batch_one_by_one(const fb_batch *, int64_t, int64_t) noexcept nogil
     const int FB_MEMBER_DONE
+    const int FB_MEMBER_TERMINATED
+    ctypedef struct fb_run
+    ctypedef struct fb_event:
+        int quantity, row, direction
+        int64_t terminal
+        int at_start, all_roots
+        double touched
+    ctypedef struct fb_found_rows:
+        fb_found_rows *next
+        double *rows
+        int64_t n, room
+    ctypedef struct fb_ensemble_events:
+        int n
+        const fb_event *events
+        int (*begin)(fb_run *) noexcept nogil
+        int (*excludes)(fb_run *) noexcept nogil
+        int (*find)(fb_run *) noexcept nogil
+        fb_found_rows **found
+    ctypedef struct fb_counters:
+        int64_t *next
+        int64_t *n_ended
+        const int *stop
     ctypedef struct fb_ensemble:
         const fb_kernel *kernel
         int64_t n
@@ -42,16 +67,20 @@ cdef extern from "lanes/batch.h":
         const double *atol
         const double *times
         int64_t n_times
+        fb_ensemble_events events
         double *samples
         int8_t *status
         int64_t *n_evaluations
-        int64_t *next
-        int64_t *n_ended
-        const int *stop
+        fb_counters counters
     ctypedef struct fb_batch_functions:
         int width
         int (*batch)(const fb_batch *, int64_t, int64_t) noexcept nogil
         int (*run)(const fb_ensemble *) noexcept nogil
+
+cdef extern from "run/events.h":
+    int fb_begin_events(fb_run *) noexcept nogil
+    int fb_excludes_events(fb_run *) noexcept nogil
+    int fb_find_events(fb_run *) noexcept nogil
 
 cdef extern from "lanes/jacobians.h":
     const int FB_INDEX_1
@@ -72,7 +101,7 @@ cdef extern from "lanes/jacobians.h":
         double *wrt_inputs
     int fb_evaluate_jacobians(const fb_jacobians *, int64_t, int64_t) noexcept nogil
 
-DONE = FB_MEMBER_DONE
+DONE, TERMINATED = FB_MEMBER_DONE, FB_MEMBER_TERMINATED
 
 
 cdef const fb_batch_functions *_batch_functions(Evaluator evaluator) noexcept:
@@ -243,26 +272,30 @@ cdef class Members:
         them; and those from which on after them.
     max_steps : int
         After this number of steps a member has to be run alone; 0 for no limit.
+    events : sequence
+        As those of `Run`, without callables.
 
     Attributes
     ----------
     samples : ndarray, shape (n, n_x, n_t)
         NaN for missing samples.
     status : ndarray of int8, shape (n,)
-        `DONE`, or something else.
+        `DONE`, `TERMINATED` by an event, or something else.
     n_evaluations : ndarray of int, shape (n,)
     """
 
     cdef fb_ensemble ensemble
     cdef Evaluator evaluator
     cdef fb_source *sources
+    cdef fb_event *events
+    cdef fb_found_rows *rows
     cdef int64_t next, ended
     cdef int stopped
     cdef list kept
     cdef readonly object samples, status, n_evaluations
 
     def __cinit__(self, Evaluator evaluator not None, str method, double t, double t_bound, x, p, sources,
-                  double max_step, rtol, atol, bint project, times, breaks, int64_t max_steps):
+                  double max_step, rtol, atol, bint project, times, breaks, int64_t max_steps, events):
         cdef fb_ensemble *e = &self.ensemble
         cdef int64_t n = len(x)
         cdef int k = 0
@@ -279,8 +312,16 @@ cdef class Members:
         self.evaluator, self.kept = evaluator, [x, p, rtol, atol, times, breaks, values, given]
         self.samples, self.status, self.n_evaluations = samples, status, n_evaluations
         self.sources = <fb_source *>PyMem_Calloc(len(given) + 1, sizeof(fb_source))
-        if self.sources == NULL:
+        self.events = <fb_event *>PyMem_Calloc(len(events) + 1, sizeof(fb_event))
+        if self.sources == NULL or self.events == NULL:
             raise MemoryError
+        for k, (quantity, row, direction, terminal, at_start, all_roots) in enumerate(events):
+            self.events[k].quantity, self.events[k].row, self.events[k].direction = quantity, row, direction
+            self.events[k].terminal, self.events[k].at_start, self.events[k].all_roots = terminal, at_start, all_roots
+            self.events[k].touched = NAN
+        e.events.n, e.events.events, e.events.found = len(events), self.events, &self.rows
+        e.events.begin, e.events.excludes = fb_begin_events, fb_excludes_events
+        e.events.find = fb_find_events
         for k, (i, source) in enumerate(given):
             self.sources[k].input = i
             if type(source) is Table:
@@ -298,10 +339,34 @@ cdef class Members:
         e.rtol, e.atol, e.times, e.n_times = data(rtol), data(atol), data(times), len(times)
         e.samples, e.status = data(samples), <int8_t *>cnp.PyArray_DATA(status)
         e.n_evaluations = <int64_t *>cnp.PyArray_DATA(n_evaluations)
-        e.next, e.n_ended, e.stop = &self.next, &self.ended, &self.stopped
+        e.counters = fb_counters(next=&self.next, n_ended=&self.ended, stop=&self.stopped)
 
     def __dealloc__(self):
+        cdef fb_found_rows *rows = self.rows
         PyMem_Free(self.sources)
+        PyMem_Free(self.events)
+        while rows != NULL:
+            self.rows = rows.next
+            free(rows.rows)
+            free(rows)
+            rows = self.rows
+
+    @property
+    def found(self):
+        """The events found, in rows of the member, the event, the time and the state, in the order of times for each
+        member; event -1 - i has the last time at which function i was zero with the same sign before and after."""
+        cdef fb_found_rows *rows = self.rows
+        cdef cnp.ndarray part
+        cdef int n_columns = 3 + self.evaluator.n_x
+        parts = [np.empty((0, n_columns))]
+        while rows != NULL:
+            part = np.empty((rows.n, n_columns))
+            if rows.n:
+                memcpy(data(part), rows.rows, rows.n * n_columns * sizeof(double))
+            part[:, 2] += self.ensemble.origin
+            parts.append(part)
+            rows = rows.next
+        return np.concatenate(parts)
 
     def run(self):
         """Run members until none is waiting; other threads may do so at the same time."""

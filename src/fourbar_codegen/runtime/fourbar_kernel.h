@@ -94,10 +94,10 @@ typedef struct fb_kernel {
     int32_t n_q, n_u, n_z; /* coordinates, speeds, auxiliary states */
     int32_t n_x;           /* all of these */
     int32_t n_p, n_r;
-    int32_t states_need_solution; /* whether z' contains u' or lambda */
-    int32_t n_h;                  /* position constraints */
-    int32_t n_c;                  /* velocity constraints */
-    int32_t n_l;                  /* multipliers: n_c, then unknown forces that drive the motion */
+    int32_t states_need_solution, outputs_need_solution; /* whether z', and outputs, contain u' or lambda */
+    int32_t n_h;                                         /* position constraints */
+    int32_t n_c;                                         /* velocity constraints */
+    int32_t n_l;           /* multipliers: n_c, then unknown forces that drive the motion */
     int32_t n_i;           /* invariants: position constraints that no speed changes, such as norms of quaternions */
     int32_t n_o;           /* outputs */
     int32_t n_breakpoints; /* times at which expressions of time may have a jump or a kink */

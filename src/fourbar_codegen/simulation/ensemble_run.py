@@ -22,10 +22,12 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.progress import QUIET_SECONDS
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.roles import METHODS
-from fourbar_codegen.runtime.batch import DONE, Members, width
+from fourbar_codegen.runtime import batch
+from fourbar_codegen.runtime.batch import Members, width
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
-from fourbar_codegen.simulation.integrate import REACHED_END
+from fourbar_codegen.simulation.events import Event, event_rows, touched
+from fourbar_codegen.simulation.integrate import REACHED_END, TERMINATED
 from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 from fourbar_codegen.simulation.simulate import simulate
 
@@ -70,13 +72,11 @@ def run(
     # disable=None: no progress bar without a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=QUIET_SECONDS, disable=None if shows_bar else True) as bar:
         found = _on_threads(runs, workers, bar) if parallel is None or not n else _on_engine(runs, parallel, bar)
-    t_events, y_events = (
-        None if options.events is None else [[of[kind][i] for of in found.events] for i in range(len(options.events))]
-        for kind in (0, 1)
-    )
+    has_events = options.events is not None
     return Ensemble(
-        model=model, t=options.t_eval, y=found.y, t_events=t_events, y_events=y_events, status=found.status,
-        messages=tuple(found.messages), nfev=found.nfev, parameters=p, inputs=inputs, settings=options.settings(),
+        model=model, t=options.t_eval, y=found.y, t_events=found.t_events if has_events else None,
+        y_events=found.y_events if has_events else None, status=found.status, messages=tuple(found.messages),
+        nfev=found.nfev, parameters=p, inputs=inputs, settings=options.settings(),
     )  # fmt: skip
 
 
@@ -150,13 +150,16 @@ def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
 
 
 class _Results(NamedTuple):
-    """Samples, statuses, messages and numbers of evaluations of all members; times and states of the events of each."""
+    """Samples, statuses, messages and numbers of evaluations of all members; for each event its times and states in
+    each member.
+    """
 
     y: Floats
     status: NDArray[np.int_]
     messages: list[str]
     nfev: NDArray[np.int_]
-    events: list[tuple[list[Floats], list[Floats]]]
+    t_events: list[list[Floats]]
+    y_events: list[list[Floats]]
 
 
 @dataclass(frozen=True)
@@ -186,9 +189,9 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
     assert options.t_eval is not None
     y: Floats | None = None
     status, nfev, messages = np.full(n, -1), np.zeros(n, dtype=int), [REACHED_END] * n
-    n_events = len(options.events or ())
-    none = [[np.empty(shape)] * n_events for shape in (0, (0, model.n_x))]
-    events = [(none[0], none[1])] * n
+    events = options.events or []
+    t_events, y_events = ([[np.empty(shape)] * n for _ in events] for shape in (0, (0, model.n_x)))
+    rows = event_rows(model, events)
     stopped = threading.Event()
 
     def check(_: float) -> None:
@@ -206,10 +209,11 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
         n_samples = len(found.t) - (found.status == 1 and found.t[-1] not in options.t_eval)
         y[member, :, :n_samples] = found.y[:, :n_samples]
         status[member], messages[member], nfev[member] = found.status, found.message, found.nfev
-        events[member] = found.t_events or [], found.y_events or []
+        for k, (times, states) in enumerate(zip(found.t_events or (), found.y_events or (), strict=True)):
+            t_events[k][member], y_events[k][member] = times, states
 
     sources = _sources(model, runs.inputs, n)
-    called = any(map(callable, sources))
+    called = any(map(callable, (*sources, *(row[1] for row in rows))))
     if not called:
         model.require_batch_functions()
     waiting = np.arange(n)
@@ -218,21 +222,26 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
     # Callables may have internal state, so members with callables do not run concurrently.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            in_lanes = options.method in METHODS and not options.events and width(model) > 1 and not called
+            in_lanes = options.method in METHODS and width(model) > 1 and not called
             breaks = _breaks(runs) if in_lanes else None
             if breaks is not None:
                 moved = states.copy()
                 rtol, atol = (np.array(np.broadcast_to(value, model.n_x)) for value in (options.rtol, options.atol))
                 members = Members(
                     model, options.method, *options.t_span, moved, runs.parameters, sources, options.max_step, rtol,
-                    atol, options.project, options.t_eval, breaks, options.max_steps or 0,
+                    atol, options.project, options.t_eval, breaks, options.max_steps or 0, rows,
                 )  # fmt: skip
                 tasks = [pool.submit(members.run) for _ in range(min(workers, n))]
                 for _ in _finished(tasks):
                     bar.update(members.n_ended - bar.n)
-                status[(members.status == DONE) & is_rounded(model.n_q, model.n_u, states, moved)] = 0
+                closed = is_rounded(model.n_q, model.n_u, states, moved)
+                status[(members.status == batch.DONE) & closed] = 0
+                status[(members.status == batch.TERMINATED) & closed] = 1
                 y, nfev = members.samples, members.n_evaluations
                 waiting = np.flatnonzero(status < 0)
+                messages[:] = [TERMINATED if ended == 1 else REACHED_END for ended in status.tolist()]
+                if events:
+                    _sort_events(members.found, events, status, t_events, y_events, messages)
                 y[waiting], nfev[waiting] = np.nan, 0
             else:
                 y = np.full((n, model.n_x, len(options.t_eval)), np.nan)
@@ -248,7 +257,32 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
                 task.cancel()
             raise
     assert y is not None
-    return _Results(y, status, messages, nfev, events)
+    return _Results(y, status, messages, nfev, t_events, y_events)
+
+
+def _sort_events(
+    rows: Floats,
+    events: Sequence[Event],
+    status: NDArray[np.int_],
+    t_events: list[list[Floats]],
+    y_events: list[list[Floats]],
+    messages: list[str],
+) -> None:
+    """Take what was found in lanes, unless the member has to run again."""
+    members = rows[:, 0].astype(int)
+    rows, members = rows[status[members] >= 0], members[status[members] >= 0]
+    order = np.argsort(members, kind="stable")
+    rows, members = rows[order], members[order]
+    for k in range(len(events)):
+        mine = rows[:, 1] == k
+        t, y = np.ascontiguousarray(rows[mine, 2]), np.ascontiguousarray(rows[mine, 3:])
+        ends = np.cumsum(np.bincount(members[mine], minlength=len(status))).tolist()
+        for member, (begin, end) in enumerate(itertools.pairwise([0, *ends])):
+            if begin < end:
+                t_events[k][member], y_events[k][member] = t[begin:end], y[begin:end]
+    touching = rows[:, 1] < 0
+    for member, of in itertools.groupby(rows[touching, :3].tolist(), key=lambda row: int(row[0])):
+        messages[member] += touched([(events[-1 - int(event)], t) for _, event, t in sorted(of, reverse=True)])
 
 
 def _breaks(runs: _Runs) -> Floats | None:
@@ -296,10 +330,11 @@ def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> _Results:
     for number, part in parallel(tasks):  # in order of arrival
         parts[number] = part
         bar.update(len(part.y))
-    y, status, messages, nfev, events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
+    y, status, messages, nfev, *events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
+    t_events, y_events = ([[*itertools.chain(*of)] for of in zip(*each, strict=True)] for each in events)
     return _Results(
-        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev),
-        [*itertools.chain(*events)],
+        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev), t_events,
+        y_events,
     )  # fmt: skip
 
 

@@ -27,7 +27,7 @@ TOUCHED = (
     "which is no event."
 )
 
-__all__ = ["Event", "EventLike", "Watch", "events_of", "watched_quantity"]
+__all__ = ["Event", "EventLike", "Watch", "event_rows", "events_of", "touched", "watched_quantity"]
 
 Floats = NDArray[np.float64]
 
@@ -136,6 +136,20 @@ def _quantities(model: Kernel) -> Iterator[tuple[Watched, Sequence[str]]]:
     yield Watched.MOMENTUM, [component for vector in QUANTITIES[Role.MOMENTA] for component in vector.components]
 
 
+def event_rows(model: Kernel, events: Sequence[Event]) -> list[tuple[Watched, Any, int, int, bool, bool]]:
+    """The events as `Run` and `Members` take them."""
+    return [
+        (
+            *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)),
+            int(np.sign(e.direction)),
+            int(e.terminal),
+            e.at_start,
+            e.all_roots,
+        )
+        for e in events
+    ]
+
+
 class _Slopes(NamedTuple):
     """What changes where an event occurs."""
 
@@ -163,17 +177,7 @@ class Watch:
         self.derivatives: list[list[_Slopes]] = [[] for _ in events]
         self.times: list[list[float]] = [[] for _ in events]
         self.states: list[list[Floats]] = [[] for _ in events]
-        self.rows = [
-            (
-                *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)),
-                int(np.sign(e.direction)),
-                int(e.terminal),
-                e.at_start,
-                e.all_roots,
-            )
-            for e in events
-        ]
-        """The events as `Run` takes them."""
+        self.rows = event_rows(model, events)
 
     def look(self, run: Run) -> float | None:
         """Store the events found last; returns the fraction of the step at which one of them ends the run."""
@@ -199,8 +203,7 @@ class Watch:
     def touched(self, run: Run, begin: float, end: float) -> str:
         """Sentences on functions that were zero without a change of sign, in a run from one time to another."""
         named = zip(self.events, run.touched, strict=True)
-        within = [(event, t) for event, t in named if min(begin, end) <= t <= max(begin, end)]
-        return "".join(dict.fromkeys(TOUCHED.format(_name(event), t) for event, t in within))
+        return touched([(event, t) for event, t in named if min(begin, end) <= t <= max(begin, end)])
 
     def _slope(self, run: Run, i: int, share: float) -> float:
         """The derivative of an event function over time, by a difference of order 4 along the interpolant.
@@ -215,5 +218,7 @@ class Watch:
         return slope / (SPACING * run.h) if abs(slope) > TOUCHING * np.abs(values).max() else 0.0
 
 
-def _name(event: Event) -> str:
-    return getattr(event.function, "__name__", str(event.function))
+def touched(found: Sequence[tuple[Event, float]]) -> str:
+    """Sentences on functions that were zero at a time without a change of sign."""
+    names = [getattr(event.function, "__name__", str(event.function)) for event, _ in found]
+    return "".join(dict.fromkeys(TOUCHED.format(name, t) for name, (_, t) in zip(names, found, strict=True)))

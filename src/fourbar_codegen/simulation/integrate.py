@@ -27,7 +27,7 @@ from fourbar_codegen.simulation.singularity import singular_message
 if TYPE_CHECKING:
     from fourbar_codegen.simulation.foreign import ForeignMethod
 
-__all__ = ["REACHED_END", "integrate"]
+__all__ = ["REACHED_END", "TERMINATED", "integrate"]
 
 Floats = NDArray[np.float64]
 

@@ -75,6 +75,9 @@ const fb_kernel FB_TABLE(kernel) = {
 #ifdef FB_STATES_NEED_SOLUTION
     .states_need_solution = 1,
 #endif
+#ifdef FB_OUTPUTS_NEED_SOLUTION
+    .outputs_need_solution = 1,
+#endif
     .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,

@@ -3,6 +3,8 @@
 #define FOURBAR_BATCH_H
 
 #include "../kernel/breakpoints.h"
+#include "../run/roots.h"
+#include "../run/run.h"
 #include "../steppers/tableaus.h"
 
 #include <math.h>
@@ -33,8 +35,34 @@ typedef struct fb_batch {
 enum FB_MEMBER {
     FB_MEMBER_WAITING = 0,
     FB_MEMBER_DONE = 1,
-    FB_MEMBER_LEFT = 2 /* has to be run alone, which handles special cases */
+    FB_MEMBER_LEFT = 2, /* has to be run alone, which handles special cases */
+    FB_MEMBER_TERMINATED = 3
 };
+
+/* Events that a worker has found: rows of the member, the event, its time since the start of all runs, and the state; a
+ * function that was zero without a change of sign has the event -1 - i. */
+typedef struct fb_found_rows fb_found_rows;
+struct fb_found_rows {
+    fb_found_rows *next; /* those of another worker */
+    double *rows;        /* (room, 3 + n_x) */
+    int64_t n, room;
+};
+
+/* The events of an ensemble. How they are found in a run is compiled once, for all models. */
+typedef struct fb_ensemble_events {
+    int32_t n;
+    const fb_event *events;       /* (n,), as they are before a run */
+    int (*begin)(fb_run *run);    /* fb_begin_events, ... */
+    int (*excludes)(fb_run *run); /* fb_excludes_events */
+    int (*find)(fb_run *run);     /* and fb_find_events */
+    fb_found_rows **found;        /* the first of those of all workers */
+} fb_ensemble_events;
+
+/* What all workers share: counters of members, and whether to stop early. */
+typedef struct fb_counters {
+    int64_t *next, *n_ended;
+    const int32_t *stop;
+} fb_counters;
 
 /* n runs of an explicit Runge-Kutta method over the same time, with samples at the same times. */
 typedef struct fb_ensemble {
@@ -53,11 +81,11 @@ typedef struct fb_ensemble {
     const double *rtol, *atol; /* (n_x,) */
     const double *times;       /* (n_times,), in the order of the run */
     int64_t n_times;
-    double *samples;         /* (n, n_x, n_times) */
-    int8_t *status;          /* (n,): FB_MEMBER */
-    int64_t *n_evaluations;  /* (n,) */
-    int64_t *next, *n_ended; /* counters of members, shared by all workers */
-    const int32_t *stop;     /* whether to stop early */
+    fb_ensemble_events events;
+    double *samples;        /* (n, n_x, n_times) */
+    int8_t *status;         /* (n,): FB_MEMBER */
+    int64_t *n_evaluations; /* (n,) */
+    fb_counters counters;
 } fb_ensemble;
 
 /* The sizes of all types passed to a model's functions for batches of states, which may have been built with other
@@ -65,7 +93,7 @@ typedef struct fb_ensemble {
 typedef struct fb_layout {
     int32_t abi_version;
     int64_t batch_functions; /* of fb_batch_functions itself: the following sizes are read only if this one agrees */
-    int64_t kernel, batch, batch_array, ensemble, source, table, tableau;
+    int64_t kernel, batch, batch_array, ensemble, source, table, tableau, run;
 } fb_layout;
 
 #define FB_LAYOUT                                                                                                      \
@@ -77,7 +105,8 @@ typedef struct fb_layout {
      .ensemble = sizeof(fb_ensemble),                                                                                  \
      .source = sizeof(fb_source),                                                                                      \
      .table = sizeof(fb_table),                                                                                        \
-     .tableau = sizeof(fb_tableau)}
+     .tableau = sizeof(fb_tableau),                                                                                    \
+     .run = sizeof(fb_run)}
 
 /* A model's functions for batches of states; width 0 if the compiler has no vectors. */
 struct fb_batch_functions {
@@ -96,7 +125,7 @@ static inline int fb_batch_functions_agree(const fb_batch_functions *functions)
     return built->abi_version == own.abi_version && built->batch_functions == own.batch_functions &&
            built->kernel == own.kernel && built->batch == own.batch && built->batch_array == own.batch_array &&
            built->ensemble == own.ensemble && built->source == own.source && built->table == own.table &&
-           built->tableau == own.tableau;
+           built->tableau == own.tableau && built->run == own.run;
 }
 
 /* The same by the kernel for single states. */

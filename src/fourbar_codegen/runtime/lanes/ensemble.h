@@ -13,6 +13,24 @@ typedef struct fb_lane_signs {
     fb_real column_unit[N_U], row_unit[FB_AT_LEAST_1(N_C)];
 } fb_lane_signs;
 
+/* Between which times the right-hand sides are evaluated; see fb_clock. */
+typedef struct fb_lane_clocks {
+    fb_real first, last;
+} fb_lane_clocks;
+
+/* What finds the events of the runs in lanes. */
+typedef struct fb_lane_search {
+    int in_lanes;         /* whether all functions are known in lanes */
+    int needs_inputs;     /* whether some need inputs, ... */
+    int needs_outputs;    /* ... and outputs */
+    double *memory;       /* of the following, and of the arrays of the run alone */
+    double *values;       /* (FB_WIDTH, FB_LEAST_DEGREE + 1, n_events) */
+    fb_event *events;     /* (FB_WIDTH, n_events) */
+    int begins[FB_WIDTH]; /* whether a run has not taken its first step */
+    fb_found_rows *found; /* those of this worker */
+    int failed;           /* without memory */
+} fb_lane_search;
+
 typedef struct fb_lanes {
     fb_lane_equations equations; /* must come first */
     fb_real stages[FB_MAX_STAGES][N_X], interpolant[3 + FB_MAX_DENSE][N_X];
@@ -23,12 +41,13 @@ typedef struct fb_lanes {
     double h_abs[FB_WIDTH], bound[FB_WIDTH];
     int rejected[FB_WIDTH], next_break[FB_WIDTH];
     fb_step_lengths lengths[FB_WIDTH];
-    fb_real first, last; /* of their clocks */
+    fb_lane_clocks clocks;
     fb_lane_signs signs; /* not of sparse equations */
     fb_source sources[FB_WIDTH][FB_AT_LEAST_1(N_R)];
-    /* for the beginning of a run */
+    /* for the beginning of a run, and for events */
     fb_problem problem;
-    fb_stepper begin;
+    fb_run alone;
+    fb_lane_search search;
     double rows[FB_STEPPER_ROWS * FB_PADDED(N_X)];
     double lane_failed[N_X], lane_moved[N_X];
 } fb_lanes;
@@ -50,7 +69,7 @@ static inline void fb_lanes_inputs(fb_lanes *restrict c, const fb_ensemble *e, c
 static inline fb_real fb_lanes_time(const fb_lanes *c, const fb_ensemble *e, const fb_real since)
 {
     const fb_real t = e->origin + since;
-    return fb_select(t < c->first, c->first, fb_select(t > c->last, c->last, t));
+    return fb_select(t < c->clocks.first, c->clocks.first, fb_select(t > c->clocks.last, c->clocks.last, t));
 }
 
 /* The segment in which a lane is, which its clock enters; returns its end. */
@@ -59,8 +78,8 @@ static inline double fb_lanes_segment(fb_lanes *c, const fb_ensemble *e, const i
     const fb_segment segment = fb_segment_behind(&e->breaks, c->next_break[lane], 0.0, e->t_bound, e->origin);
     fb_clock clock;
     fb_enter_clock(&clock, &segment);
-    c->first[lane] = clock.first;
-    c->last[lane] = clock.last;
+    c->clocks.first[lane] = clock.first;
+    c->clocks.last[lane] = clock.last;
     return segment.t_bound;
 }
 
@@ -103,8 +122,8 @@ static inline void fb_lanes_error(const fb_lanes *restrict c, const fb_ensemble 
                                   const fb_real *restrict x_new, double *restrict errors)
 {
     fb_real scratch[2 * N_X], sums[2];
-    fb_estimate_error_lanes(e->method, &c->begin.weights, N_X, c->stages[0], h, N_X, e->rtol, e->atol, c->x, x_new,
-                            scratch, sums);
+    fb_estimate_error_lanes(e->method, &c->alone.stepper.weights, N_X, c->stages[0], h, N_X, e->rtol, e->atol, c->x,
+                            x_new, scratch, sums);
     for (int lane = 0; lane < FB_WIDTH; ++lane)
         errors[lane] = fb_error_norm(N_X, e->method->n_errors, h[lane], sums[0][lane], sums[1][lane]);
 }
@@ -159,7 +178,7 @@ static inline void fb_leave(fb_lanes *c, const fb_ensemble *e, const int lane, c
     const int64_t member = c->member[lane];
     e->n_evaluations[member] = (int64_t)c->n_evaluations[lane];
     e->status[member] = (int8_t)how;
-    __atomic_fetch_add(e->n_ended, 1, __ATOMIC_RELAXED);
+    __atomic_fetch_add(e->counters.n_ended, 1, __ATOMIC_RELAXED);
     c->active[lane] = 0;
 }
 
@@ -172,13 +191,15 @@ static inline void fb_store(fb_lanes *c, const fb_ensemble *e, const int lane, c
     c->next_time[lane] += 1;
 }
 
+#include "lane_events.h"
+
 /* Starts the next waiting member in a free lane. */
 static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int lane)
 {
     fb_lane_equations *const s = &c->equations;
-    fb_stepper *const b = &c->begin;
+    fb_stepper *const b = &c->alone.stepper;
     for (;;) {
-        const int64_t member = __atomic_fetch_add(e->next, 1, __ATOMIC_RELAXED);
+        const int64_t member = __atomic_fetch_add(e->counters.next, 1, __ATOMIC_RELAXED);
         if (member >= e->n)
             return;
         c->member[lane] = member;
@@ -186,7 +207,7 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
         c->rejected[lane] = c->next_break[lane] = 0;
         c->lengths[lane] = (fb_step_lengths){0.0, 0.0, 0.0};
         c->bound[lane] = fb_lanes_segment(c, e, lane);
-        c->problem.clock = (fb_clock){e->origin, c->first[lane], c->last[lane]};
+        c->problem.clock = (fb_clock){e->origin, c->clocks.first[lane], c->clocks.last[lane]};
         double *const x = e->x + member * N_X;
         s->kernel->prepare(e->p + member * N_P, s->lane_constants);
         for (int k = 0; k < e->n_sources; ++k) {
@@ -203,6 +224,9 @@ static inline void fb_lanes_enter(fb_lanes *c, const fb_ensemble *e, const int l
         if (status == FB_OK)
             status = fb_runge_kutta_init(b, e->t_bound > 0.0 ? 1.0 : -1.0, fabs(e->t_bound), e->max_step, &h_abs);
         c->n_evaluations[lane] = b->n_evaluations;
+        c->search.begins[lane] = 1;
+        if (e->events.n > 0)
+            memcpy(c->search.events + lane * e->events.n, e->events.events, (size_t)e->events.n * sizeof(fb_event));
         if (status != FB_OK || !fb_finite(b->stages, N_X) || !isfinite(h_abs)) {
             fb_leave(c, e, lane, FB_MEMBER_LEFT);
             continue;
@@ -298,33 +322,41 @@ static inline fb_mask fb_toggled(fb_lanes *c, const fb_mask asked)
     return changed;
 }
 
-/* The samples within the steps from t to t_new that were accepted in the requested lanes. */
+/* The interpolants of the steps in the requested lanes. */
+static void fb_lanes_prepare(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const fb_real *x_new,
+                             const fb_mask asked)
+{
+    const fb_asked asking = {c, e, asked};
+    fb_real scratch[N_X];
+    fb_form_interpolant_lanes(&asking, e->method, &c->alone.stepper.weights, N_X, c->stages[0], c->t, h, c->x, x_new,
+                              scratch, c->interpolant[0]);
+}
+
+/* The samples within the steps from t to t_new that were accepted in the requested lanes, up to the ends of their runs;
+ * `prepared` is whether the interpolants are known. */
 static inline void fb_lanes_sample(fb_lanes *restrict c, const fb_ensemble *e, const fb_real h, const double *t_new,
-                                   const fb_real *x_new, const fb_mask asked)
+                                   const double *until, const fb_real *x_new, const fb_mask asked, int prepared)
 {
     const double direction = e->t_bound > 0.0 ? 1.0 : -1.0;
-    int prepared = 0;
     for (;;) {
         fb_mask within = asked & 0;
         fb_real t = c->t, x[N_X];
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (asked[lane] && c->next_time[lane] < e->n_times) {
                 const double sample = e->times[c->next_time[lane]];
+                if (direction * (sample - until[lane]) > 0.0)
+                    continue;
                 if (sample == t_new[lane])
                     fb_store(c, e, lane, x_new);
-                else if (direction * (sample - t_new[lane]) < 0.0) {
+                else {
                     within[lane] = -1;
                     t[lane] = sample;
                 }
             }
         if (!fb_any(within))
             return;
-        if (!prepared) {
-            const fb_asked asking = {c, e, within};
-            fb_real scratch[N_X];
-            fb_form_interpolant_lanes(&asking, e->method, &c->begin.weights, N_X, c->stages[0], c->t, h, c->x, x_new,
-                                      scratch, c->interpolant[0]);
-        }
+        if (!prepared)
+            fb_lanes_prepare(c, e, h, x_new, within);
         prepared = 1; /* also for later rounds, which have fewer lanes */
         fb_interpolate_lanes(e->method, c->interpolant[0], N_X, N_X, c->x, (t - c->t) / h, x);
         if (e->project)
@@ -377,9 +409,10 @@ static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, cons
         if (taken[lane]) {
             c->n_steps[lane] += 1;
             c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
-            if (t_new[lane] == e->t_bound)
+            if (t_new[lane] == e->t_bound) {
+                fb_note_touched(c, e, lane);
                 fb_leave(c, e, lane, FB_MEMBER_DONE);
-            else if (t_new[lane] == c->bound[lane]) {
+            } else if (t_new[lane] == c->bound[lane]) {
                 c->next_break[lane] += 1;
                 c->bound[lane] = fb_lanes_segment(c, e, lane);
                 passed[lane] = -1;
@@ -402,8 +435,8 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     memcpy(&t_end, t_new, sizeof t_end);
     const fb_real h = t_end - c->t;
     const fb_asked asking = {c, e, c->active};
-    fb_take_stages_lanes(&asking, m, &c->begin.weights, N_X, c->stages[0], c->t, h, c->x, x_new);
-    if (!e->project || c->begin.weights.error[0].stage[c->begin.weights.error[0].n - 1] == m->n_stages)
+    fb_take_stages_lanes(&asking, m, &c->alone.stepper.weights, N_X, c->stages[0], c->t, h, c->x, x_new);
+    if (!e->project || c->alone.stepper.weights.error[0].stage[c->alone.stepper.weights.error[0].n - 1] == m->n_stages)
         fb_lanes_rates(c, e, t_end, x_new, c->active, end);
     fb_lanes_error(c, e, h, x_new, errors);
     fb_mask taken = c->active;
@@ -422,7 +455,22 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
                 fb_leave(c, e, lane, FB_MEMBER_LEFT);
                 taken[lane] = 0;
             }
-    fb_lanes_sample(c, e, h, t_new, x_new, taken);
+    double until[FB_WIDTH];
+    memcpy(until, t_new, sizeof until);
+    const int has_events = e->events.n > 0 && fb_any(taken);
+    fb_mask ended = taken & 0;
+    if (has_events) {
+        fb_lanes_prepare(c, e, h, x_new, taken);
+        ended = fb_lanes_find_events(c, e, h, t_new, x_new, taken, until);
+    }
+    fb_lanes_sample(c, e, h, t_new, until, x_new, taken, has_events);
+    if (fb_any(ended))
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (ended[lane]) {
+                fb_note_touched(c, e, lane);
+                fb_leave(c, e, lane, FB_MEMBER_TERMINATED);
+                taken[lane] = 0;
+            }
     for (int i = 0; i < N_X; ++i) {
         c->x[i] = fb_select(taken, x_new[i], c->x[i]);
         c->stages[0][i] = fb_select(taken, end[i], c->stages[0][i]);
@@ -434,6 +482,12 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
         fb_lanes_rates(c, e, c->t, c->x, passed, rates);
         for (int i = 0; i < N_X; ++i)
             c->stages[0][i] = fb_select(passed, rates[i], c->stages[0][i]);
+        for (int lane = 0; lane < FB_WIDTH; ++lane)
+            if (passed[lane] && e->events.n > 0) {
+                fb_enter_alone(c, e, lane, c->t[lane]);
+                fb_take_lane(c->x, lane, N_X, c->alone.stepper.x);
+                e->events.begin(&c->alone);
+            }
     }
 }
 
@@ -442,7 +496,7 @@ static int run(const fb_ensemble *e)
     fb_lanes *const c = (fb_lanes *)fb_new_lane_equations(e->kernel, sizeof *c);
     if (c == NULL)
         return -1;
-    fb_stepper *const b = &c->begin;
+    fb_stepper *const b = &c->alone.stepper;
     const fb_problem problem = {
         .kernel = e->kernel,
         .constants = c->equations.lane_constants,
@@ -457,14 +511,20 @@ static int run(const fb_ensemble *e)
     b->rtol = e->rtol;
     b->atol = e->atol;
     fb_place_stepper(b, &fb_runge_kutta, e->method, N_X, c->rows);
-    for (;;) {
+    b->project = e->project;
+    c->alone.direction = e->t_bound > 0.0 ? 1.0 : -1.0;
+    c->alone.t_end = e->t_bound;
+    int status = fb_begin_search(&c->search, e, &c->alone);
+    while (status == 0) {
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (!c->active[lane])
                 fb_lanes_enter(c, e, lane);
-        if (!fb_any(c->active) || __atomic_load_n(e->stop, __ATOMIC_RELAXED))
+        if (!fb_any(c->active) || __atomic_load_n(e->counters.stop, __ATOMIC_RELAXED) || c->search.failed)
             break;
         fb_lanes_step(c, e);
     }
+    fb_end_search(&c->search, e);
+    status |= c->search.failed ? -1 : 0;
     fb_free_lane_equations(&c->equations);
-    return 0;
+    return status;
 }

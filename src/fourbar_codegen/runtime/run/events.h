@@ -55,10 +55,12 @@ static inline int fb_event_values(fb_run *r, const double since, const double *x
     for (int i = 0; i < watch->n_events; ++i)
         if (fb_is_asked(watch->events + i, i, which))
             needs |= 1U << watch->events[i].quantity;
-    const int called = fb_fill_inputs(p, t, x);
+    /* States need no inputs, and callables have their own. */
+    const int has_own = !(needs & ~(1U << FB_WATCHED_TIME | 1U << FB_WATCHED_STATE | 1U << FB_WATCHED_CALLABLE));
+    const int called = has_own ? 0 : fb_fill_inputs(p, t, x);
     if (called < 0)
         return called;
-    if (needs & (1U << FB_WATCHED_OUTPUT | 1U << FB_WATCHED_MULTIPLIER))
+    if (needs & (1U << FB_WATCHED_MULTIPLIER) || (needs & (1U << FB_WATCHED_OUTPUT) && k->outputs_need_solution))
         k->accelerations(t, x, p->constants, p->inputs, accelerations, multipliers, p->work);
     if (needs & 1U << FB_WATCHED_OUTPUT)
         fb_problem_results(p, FB_OUTPUT, t, x, accelerations, multipliers, NULL, &outputs);
@@ -182,20 +184,58 @@ static inline int fb_value_in_part(void *of, const double y, double *value)
 
 /* The series of an event function in a part by its points for degree n: returns n, or 0 for a function without roots,
  * or -1 if it is not known. */
-static inline int fb_series_of(const fb_watch *watch, const int i, const int n, fb_series *series)
+static inline int fb_series_of(const fb_run *r, const int i, const int n, fb_series *series)
 {
+    const fb_watch *const watch = &r->watch;
+    const int quantity = watch->events[i].quantity;
     double values[FB_MOST_DEGREE + 1], largest = 0.0;
     for (int j = 0; j <= n; ++j) {
         values[j] = watch->values[j * (FB_MOST_DEGREE / n) * watch->n_events + i];
         largest = fmax(largest, fabs(values[j]));
     }
     fb_chebyshev_fit(n, values, series->c);
-    const double last = fabs(series->c[n - 1]) + fabs(series->c[n]);
+    /* Times and states are polynomials of degree 7 at most, besides those of methods with a step control of their own.
+     */
+    const int is_known = (quantity == FB_WATCHED_TIME || quantity == FB_WATCHED_STATE) && !r->stepper.method->advance;
+    const double last = (is_known ? 0.0 : fabs(series->c[n - 1])) + fabs(series->c[n]);
     series->n = n;
     series->error = last + FB_ROUNDING_RTOL * largest;
     if (fabs(series->c[0]) > fb_chebyshev_range(n, series->c) + FB_SERIES_MARGIN * last)
         return 0;
     return last <= FB_SERIES_RTOL * largest ? n : -1;
+}
+
+/* Whether the interpolant differs from the states at the ends of the step: that of a method with a step control of its
+ * own, and that of states before a projection. */
+static inline int fb_interpolant_jumps(const fb_stepper *s)
+{
+    return s->method->advance != NULL || (s->project && !s->method->projects && !s->tableau->hermite);
+}
+
+/* The functions along the interpolant at both ends of a part, as values of their series, if these differ from those of
+ * the states there; by how much is stored. */
+static inline int fb_values_of_interpolant(const fb_part_of_step *part, double *first, double *last)
+{
+    fb_run *const r = part->run;
+    fb_watch *const watch = &r->watch;
+    fb_stepper *const s = &r->stepper;
+    for (int end = 0; end < 2; ++end) {
+        double *const values = end ? last : first;
+        if (!(end ? part->end == 1.0 : part->begin == 0.0))
+            continue;
+        const double t = end ? s->t : s->t_old;
+        int status = s->method->interpolate(s, t, watch->along);
+        if (status >= 0)
+            status = fb_event_values(r, t, watch->along, FB_ALL_ROOTS, values);
+        if (status < 0)
+            return status;
+        for (int i = 0; i < watch->n_events; ++i) {
+            fb_event *const e = watch->events + i;
+            if (e->all_roots)
+                e->mismatch = fmax(e->mismatch, fabs(values[i] - (end ? watch->ends[i] : e->value)));
+        }
+    }
+    return 0;
 }
 
 /* Evaluates the functions at the points of a part until their series are known; returns whether that is so. */
@@ -214,7 +254,9 @@ static inline int fb_know_part(const fb_part_of_step *part)
         first[i] = watch->events[i].value;
         last[i] = watch->ends[i];
     }
-    for (int n = FB_LEAST_DEGREE; n <= FB_MOST_DEGREE && open > 0; n *= 2) {
+    if (open > 0 && fb_interpolant_jumps(s))
+        status = fb_values_of_interpolant(part, first, last);
+    for (int n = FB_LEAST_DEGREE; n <= FB_MOST_DEGREE && open > 0 && status >= 0; n *= 2) {
         /* Points with an even number are those of half the degree; the last one is the beginning. */
         const int is_first = n == FB_LEAST_DEGREE;
         for (int j = is_first && part->end < 1.0 ? 0 : 1; j < n; j += is_first ? 1 : 2) {
@@ -228,35 +270,11 @@ static inline int fb_know_part(const fb_part_of_step *part)
         }
         for (int i = 0; i < n_events; ++i)
             if (watch->events[i].degree < 0) {
-                watch->events[i].degree = fb_series_of(watch, i, n, &series);
+                watch->events[i].degree = fb_series_of(r, i, n, &series);
                 open -= watch->events[i].degree >= 0;
             }
     }
-    return open == 0;
-}
-
-/* Between steps of methods with a step control of their own, interpolants may jump: by how much the functions differ
- * from those of the states at both ends. */
-static inline int fb_find_mismatch(fb_run *r)
-{
-    fb_watch *const watch = &r->watch;
-    fb_stepper *const s = &r->stepper;
-    for (int i = 0; i < watch->n_events; ++i)
-        watch->events[i].mismatch = 0.0;
-    for (int end = 0; end < 2; ++end) {
-        const double t = end ? s->t : s->t_old;
-        int status = s->method->interpolate(s, t, watch->along);
-        if (status >= 0)
-            status = fb_event_values(r, t, watch->along, FB_ALL_ROOTS, watch->values);
-        if (status < 0)
-            return status;
-        for (int i = 0; i < watch->n_events; ++i) {
-            fb_event *const e = watch->events + i;
-            if (e->all_roots)
-                e->mismatch = fmax(e->mismatch, fabs(watch->values[i] - (end ? watch->ends[i] : e->value)));
-        }
-    }
-    return 0;
+    return status < 0 ? status : open == 0;
 }
 
 /* A root of the part's event function where it crosses zero: with a series, near the root of that. */
@@ -351,14 +369,14 @@ static inline int fb_find_events_of(fb_part_of_step *part)
     fb_watch *const watch = &r->watch;
     fb_event *const e = watch->events + part->event;
     const int ends = part->end == 1.0 && r->stepper.t == r->t_bound;
-    const double at_end = watch->values[part->event];
+    const double at_end = part->end == 1.0 ? watch->ends[part->event] : watch->values[part->event];
     const double end = ends && fabs(at_end) <= FB_ROUNDING_RTOL * fabs(e->value) ? 0.0 : at_end;
     fb_series series;
     fb_walk walk;
     fb_begin_walk(&walk, e->sign, e->at_start, fmax(e->left, e->mismatch));
     fb_walk_to(&walk, -1.0, e->value, 0.0);
     if (e->degree > 0) {
-        fb_series_of(watch, part->event, e->degree, &series);
+        fb_series_of(r, part->event, e->degree, &series);
         fb_walk_along(&walk, &series);
     }
     for (int j = FB_MOST_DEGREE - 1; e->degree < 0 && j > 0; --j)
@@ -405,8 +423,8 @@ static inline int fb_find_events(fb_run *r)
     if (watch->searched == 0.0) {
         status = s->t == r->t_bound ? fb_event_values_at_end(r, 0, watch->ends, watch->polished)
                                     : fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends);
-        if (status >= 0 && s->method->advance)
-            status = fb_find_mismatch(r);
+        for (int i = 0; i < watch->n_events; ++i)
+            watch->events[i].mismatch = 0.0;
     }
     while (status >= 0 && watch->searched < 1.0 && watch->n_found == 0) {
         /* a part that is next to a short one may be longer */
@@ -435,6 +453,30 @@ static inline int fb_find_events(fb_run *r)
         }
     }
     return watch->n_found;
+}
+
+/* Whether no function changes its sign in the last step, by its values at the points of the least degree; then the step
+ * counts as searched. A value at its beginning that may consist of rounding errors does not exclude a root. */
+static inline int fb_excludes_events(fb_run *r)
+{
+    const fb_watch *const watch = &r->watch;
+    const double *const begin = watch->values + FB_MOST_DEGREE * watch->n_events;
+    fb_series series;
+    for (int i = 0; i < watch->n_events; ++i) {
+        const fb_event *const e = watch->events + i;
+        const int sign = e->sign != 0 ? e->sign : (begin[i] > 0.0) - (begin[i] < 0.0);
+        if (e->left > 0.0 || !(begin[i] * sign > 0.0 && watch->ends[i] * sign > 0.0) ||
+            (e->all_roots && fb_series_of(r, i, FB_LEAST_DEGREE, &series) != 0))
+            return 0;
+    }
+    for (int i = 0; i < watch->n_events; ++i) {
+        fb_event *const e = watch->events + i;
+        e->sign = watch->ends[i] > 0.0 ? 1 : -1;
+        e->at_start = e->begins = 0;
+        e->change = fabs(watch->ends[i] - begin[i]);
+        e->value = watch->ends[i];
+    }
+    return 1;
 }
 
 /* Drops the events found last that are after a time; returns the number of those that are left. */

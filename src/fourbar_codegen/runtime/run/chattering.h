@@ -1,6 +1,6 @@
-/* Chattering: where the equations of motion jump, and lead the motion back to the jump from both sides, as dry friction
- * does where it sticks, it slides along the jump (A. F. Filippov, "Differential equations with discontinuous righthand
- * sides", 1988), and a method with step control goes on in ever more steps, across it or along it.
+/* Chattering: if the equations of motion jump, and lead the motion back to the jump from both sides, as dry friction
+ * does where it sticks, then the motion slides along the jump (A. F. Filippov, "Differential equations with
+ * discontinuous righthand sides", 1988), and a method with step control goes on in ever more steps.
  */
 #ifndef FOURBAR_CHATTERING_H
 #define FOURBAR_CHATTERING_H
@@ -12,6 +12,19 @@
  * many of the last steps. */
 enum { FB_LOOKS_IN_A_ROW = 5 };
 #define FB_STEPS_TO_JUMP 20.0
+
+/* The fraction of the time to a jump over which the changes of conditions are taken. */
+#define FB_AHEAD 1e-2
+
+static inline int fb_n_conditions(const fb_run *r)
+{
+#ifdef FB_LIBRARY /* whose code is that of one model */
+    (void)r;
+    return N_CONDITIONS;
+#else
+    return r->stepper.problem->kernel->n_conditions;
+#endif
+}
 
 /* The conditions' values at a time and state of a run. */
 static inline int fb_conditions(fb_run *r, const double since, const double *x, double *values)
@@ -36,7 +49,7 @@ static inline int fb_condition_rates(fb_run *r, const double since, const double
         ahead[i] = x[i] + later * rates[i];
     if (status >= 0)
         status = fb_conditions(r, since + later, ahead, of_conditions);
-    for (int i = 0; i < s->problem->kernel->n_conditions; ++i)
+    for (int i = 0; i < fb_n_conditions(r); ++i)
         of_conditions[i] = (of_conditions[i] - values[i]) / later;
     return status;
 }
@@ -47,7 +60,7 @@ static inline int fb_leads_back(fb_run *r, const int condition, const double to_
                                 const double *forward)
 {
     fb_stepper *const s = &r->stepper;
-    const int n = s->problem->kernel->n_conditions;
+    const int n = fb_n_conditions(r);
     double *const values = r->chattering.values + 2 * n, *const changes = values + n;
     double *const x = r->watch.singular.x, *const rates = x + s->padded;
     double sides[2];
@@ -69,15 +82,18 @@ static inline int fb_leads_back(fb_run *r, const int condition, const double to_
 }
 
 /* Whether the equations jump at a condition that changes its sign within a time, and lead back to it from both sides;
- * negative from a callback. */
+ * negative from a callback. These evaluations are not counted, like those for events, and may fail. */
 static inline int fb_is_beside_jump(fb_run *r, const double reach)
 {
     fb_stepper *const s = &r->stepper;
     fb_chattering *const c = &r->chattering;
-    const int n = s->problem->kernel->n_conditions;
+    const int n = fb_n_conditions(r);
     double *const values = c->values, *const changes = values + n, *const forward = r->watch.along + s->padded;
-    const double later = r->direction * 1e-2 * reach;
+    const double later = r->direction * FB_AHEAD * reach;
+    const int64_t n_evaluations = s->n_evaluations;
     int found = 0;
+    if (s->problem->status != FB_OK)
+        return 0;
     int status = fb_conditions(r, s->t, s->x, values);
     if (status >= 0)
         status = fb_condition_rates(r, s->t, s->x, later, values, forward, changes);
@@ -91,6 +107,8 @@ static inline int fb_is_beside_jump(fb_run *r, const double reach)
     }
     if (status >= 0) /* the workspace of the equations is that of the state reached again */
         status = fb_evaluate(s, s->t, s->x, forward);
+    s->problem->status = FB_OK;
+    s->n_evaluations = n_evaluations;
     return status < 0 ? status : found;
 }
 
@@ -99,15 +117,13 @@ static inline int fb_look_for_chattering(fb_run *r)
 {
     fb_stepper *const s = &r->stepper;
     fb_chattering *const c = &r->chattering;
-    if (s->problem->kernel->n_conditions == 0 || s->n_steps == c->noted)
+    if (fb_n_conditions(r) == 0 || s->n_steps == c->noted)
         return FB_RUN_PAUSED;
     c->noted = s->n_steps;
     const double mean = fb_short_steps(&c->lengths, s->h, s->n_steps, fabs(r->t_end - r->pace.t_begin));
     if (s->n_steps % FB_STEPS_BETWEEN_LOOKS != 0)
         return FB_RUN_PAUSED;
-    const int64_t n_evaluations = s->n_evaluations;
     const int found = mean > 0.0 ? fb_is_beside_jump(r, FB_STEPS_TO_JUMP * mean) : 0;
-    s->n_evaluations = n_evaluations; /* these are not counted, like those for events */
     c->in_a_row = found > 0 ? c->in_a_row + 1 : 0;
     return found < 0 ? found : c->in_a_row == FB_LOOKS_IN_A_ROW ? FB_RUN_CHATTERING : FB_RUN_PAUSED;
 }
@@ -117,7 +133,7 @@ static inline int fb_look_for_chattering(fb_run *r)
 static inline int fb_fails_beside_jump(fb_run *r, const int reason)
 {
     const fb_step_lengths *const lengths = &r->chattering.lengths;
-    if (r->stepper.problem->kernel->n_conditions == 0 || !(lengths->sum > 0.0))
+    if (fb_n_conditions(r) == 0 || !(lengths->sum > 0.0))
         return 0;
     return fb_is_beside_jump(r, (reason == FB_RUN_DIVERGED ? 1.0 : FB_SHORT_RATIO) * lengths->squares / lengths->sum);
 }

@@ -131,6 +131,19 @@ def test_jumps_that_the_motion_passes_do_not_end_runs(law, method):
     assert loaded(law).simulate((0.0, 10.0), [0.3, 0.1], method=method).success
 
 
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_friction_under_a_fast_square_wave_does_not_stick(method):
+    """The force is 60 times the friction, so that the speed changes its sign every 1.6 ms; 2e6 steps to the end."""
+    law = loaded(lambda x, v, t: -MU * sm.sign(v) + 30 * sm.sign(sm.cos(2000 * t)))
+    run = law.simulate((0.0, 100.0), [0.3, 0.0], method=method, max_steps=200_000)
+    assert "max_steps = 200000 is reached" in run.message
+
+
+def test_a_jump_of_the_integer_part_is_named_by_its_variable():
+    run = loaded(lambda x, v, t: -MU * sm.floor(v) - MU / 2).simulate((0.0, 10.0), [0.3, 0.1])
+    assert f"The equations jump at floor of v, and {JUMP}" in run.message
+
+
 def test_motions_that_leave_a_jump_backwards_are_not_ended(rubbing):
     """Backwards in time, dry friction drives the mass away from rest."""
     assert rubbing("sign of v").simulate((5.0, 0.0), [0.04, 1e-9]).success

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.oscillators import driven_oscillator, oscillator
 from scipy.special import ellipk
 
 import fourbar_codegen as fb
@@ -68,6 +69,33 @@ def test_members_backwards_with_tables_and_steps_of_fixed_length_have_the_events
         ensemble = loop.ensemble(parameters={"k": STIFFNESS}, events=["u1", "sine"], **how)
         how.setdefault("t_eval", how["t_span"])
         check(ensemble, [loop.simulate(parameters={"k": k}, events=["u1", "sine"], **how) for k in STIFFNESS], 1e-12)
+
+
+@pytest.mark.parametrize("all_roots", [True, False])
+def test_zeros_at_the_end_of_a_run_and_beside_its_start_are_those_of_single_runs(all_roots):
+    """F = sin(pi t) is -5e-16 at 4 s; x = 0.3 m is the place of the gap."""
+    model = driven_oscillator(
+        force=sm.sin(sm.pi * me.dynamicsymbols._t), outputs={"gap": me.dynamicsymbols("x") - sm.Rational(3, 10)}
+    )
+    compiled = fb.compile_model(model)
+    x0 = [[0.3 + k * 5.55e-17, v] for k in (-2, -1, 0, 1, 2) for v in (-0.5, 0.0, 0.5)]
+    for at_start in (False, True):
+        events = [
+            fb.Event("F", terminal=4, all_roots=all_roots),
+            fb.Event("gap", all_roots=all_roots, at_start=at_start),
+        ]
+        ensemble = compiled.ensemble((0.0, 4.0), x0, events=events)
+        runs = [compiled.simulate((0.0, 4.0), x, events=events, t_eval=(0.0, 4.0)) for x in x0]
+        assert {run.status for run in runs} == {1}
+        check(ensemble, runs, 1e-12)
+
+
+def test_what_touches_zero_after_the_end_of_a_member_is_not_said():
+    model = fb.compile_model(oscillator())
+    events = [fb.Event("t", terminal=True), "kinetic_energy"]
+    [message] = model.ensemble((-1.5, 3.0), [[0.3, 0.0]], events=events).messages
+    assert message == model.simulate((-1.5, 3.0), [0.3, 0.0], events=events).message
+    assert message == "A termination event occurred."
 
 
 def test_a_terminal_event_ends_its_member_alone(loop):

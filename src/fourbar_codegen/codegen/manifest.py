@@ -138,7 +138,8 @@ def _conditions(equations: Equations) -> tuple[str, ...]:
     texts: dict[Scalar, str] = {}
     for jump in equations.jumps:
         text = f"{jump.function} of {written_out(jump.condition)}"
-        texts.setdefault(jump.condition, text if len(text) <= LONGEST else _of_leaves(jump))
+        is_plain = jump.function not in ("floor", "ceiling") and len(text) <= LONGEST
+        texts.setdefault(jump.condition, text if is_plain else _of_leaves(jump))
     return tuple(texts[condition] for condition in equations.conditions.entries)
 
 

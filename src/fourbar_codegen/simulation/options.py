@@ -117,7 +117,7 @@ class RunOptions(NamedTuple):
         ModelError
             If an argument has a wrong shape or name, is not finite, or is not supported by the method.
         """
-        one_of(method, STEPS, "method")
+        method = str(one_of(method, STEPS, "method"))
         if not (formulation is None or method == "IDA"):
             raise ModelError(f"A formulation is for IDA; {method} has none.")
         project = projects(model, constraints, stabilizes=method not in (FIXED_STEP, "IDA"))

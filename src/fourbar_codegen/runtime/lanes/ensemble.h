@@ -410,7 +410,7 @@ static fb_mask fb_lanes_control(fb_lanes *restrict c, const fb_ensemble *e, cons
             c->n_steps[lane] += 1;
             c->h_abs[lane] = c->h_abs[lane] > proposed[lane] ? c->h_abs[lane] : proposed[lane];
             if (t_new[lane] == e->t_bound) {
-                fb_note_touched(c, e, lane);
+                fb_note_touched(c, e, lane, e->t_bound);
                 fb_leave(c, e, lane, FB_MEMBER_DONE);
             } else if (t_new[lane] == c->bound[lane]) {
                 c->next_break[lane] += 1;
@@ -467,7 +467,7 @@ static void fb_lanes_step(fb_lanes *restrict c, const fb_ensemble *e)
     if (fb_any(ended))
         for (int lane = 0; lane < FB_WIDTH; ++lane)
             if (ended[lane]) {
-                fb_note_touched(c, e, lane);
+                fb_note_touched(c, e, lane, until[lane]);
                 fb_leave(c, e, lane, FB_MEMBER_TERMINATED);
                 taken[lane] = 0;
             }

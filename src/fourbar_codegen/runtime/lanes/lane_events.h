@@ -205,12 +205,12 @@ static fb_mask fb_lanes_find_events(fb_lanes *c, const fb_ensemble *e, const fb_
     return ended;
 }
 
-/* The functions of a lane that were zero without a change of sign in its run. */
-static void fb_note_touched(fb_lanes *c, const fb_ensemble *e, const int lane)
+/* The functions of a lane that were zero without a change of sign in its run, which ends at a time. */
+static void fb_note_touched(fb_lanes *c, const fb_ensemble *e, const int lane, const double until)
 {
     for (int i = 0; i < e->events.n; ++i) {
         const double touched = c->search.events[lane * e->events.n + i].touched;
-        if (touched == touched)
+        if (c->alone.direction * (until - touched) >= 0.0)
             fb_add_found(&c->search, c->member[lane], -1 - i, touched, c->equations.lane_x);
     }
 }

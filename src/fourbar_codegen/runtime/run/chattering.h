@@ -10,8 +10,12 @@
 
 /* A run chatters if so many looks in a row have found it beside such a jump: that is reached within the length of so
  * many of the last steps. */
-enum { FB_LOOKS_IN_A_ROW = 5 };
+enum { FB_LOOKS_IN_A_ROW = 20 };
 #define FB_STEPS_TO_JUMP 20.0
+
+/* There is a look in each FB_SHORT_STEPS steps, each time so many steps later in these: not at the same phase of a
+ * periodic motion. */
+enum { FB_LATER = 7 };
 
 /* The fraction of the time to a jump over which the changes of conditions are taken. */
 #define FB_AHEAD 1e-2
@@ -121,9 +125,12 @@ static inline int fb_look_for_chattering(fb_run *r)
         return FB_RUN_PAUSED;
     c->noted = s->n_steps;
     const double mean = fb_short_steps(&c->lengths, s->h, s->n_steps, fabs(r->t_end - r->pace.t_begin));
-    if (s->n_steps % FB_STEPS_BETWEEN_LOOKS != 0)
+    const int64_t phase = s->n_steps % FB_SHORT_STEPS;
+    if (phase == 0)
+        c->mean = mean;
+    if (phase != FB_LATER * (s->n_steps / FB_SHORT_STEPS) % FB_SHORT_STEPS)
         return FB_RUN_PAUSED;
-    const int found = mean > 0.0 ? fb_is_beside_jump(r, FB_STEPS_TO_JUMP * mean) : 0;
+    const int found = c->mean > 0.0 ? fb_is_beside_jump(r, FB_STEPS_TO_JUMP * c->mean) : 0;
     c->in_a_row = found > 0 ? c->in_a_row + 1 : 0;
     return found < 0 ? found : c->in_a_row == FB_LOOKS_IN_A_ROW ? FB_RUN_CHATTERING : FB_RUN_PAUSED;
 }

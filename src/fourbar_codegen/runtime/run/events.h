@@ -456,7 +456,7 @@ static inline int fb_find_events(fb_run *r)
 }
 
 /* Whether no function changes its sign in the last step, by its values at the points of the least degree; then the step
- * counts as searched. A value at its beginning that may consist of rounding errors does not exclude a root. */
+ * counts as searched. A value at an end that may consist of rounding errors does not exclude a root. */
 static inline int fb_excludes_events(fb_run *r)
 {
     const fb_watch *const watch = &r->watch;
@@ -466,7 +466,7 @@ static inline int fb_excludes_events(fb_run *r)
         const fb_event *const e = watch->events + i;
         const int sign = e->sign != 0 ? e->sign : (begin[i] > 0.0) - (begin[i] < 0.0);
         if (e->left > 0.0 || !(begin[i] * sign > 0.0 && watch->ends[i] * sign > 0.0) ||
-            (e->all_roots && fb_series_of(r, i, FB_LEAST_DEGREE, &series) != 0))
+            fb_series_of(r, i, FB_LEAST_DEGREE, &series) != 0)
             return 0;
     }
     for (int i = 0; i < watch->n_events; ++i) {

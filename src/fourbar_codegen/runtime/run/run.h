@@ -80,6 +80,7 @@ typedef struct fb_step_lengths {
 typedef struct fb_chattering {
     double *values; /* (4, n_conditions): of the conditions, and how fast they change, on both sides */
     fb_step_lengths lengths;
+    double mean;   /* of the last steps' lengths, 0 unless these are short */
     int64_t noted; /* the number of the last step in these */
     int in_a_row;  /* looks in a row that found the run beside a jump */
     int condition; /* where the run ends: the number of the condition, and its value */

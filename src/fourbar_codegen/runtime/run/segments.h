@@ -22,6 +22,7 @@ static inline int fb_begin(fb_run *r)
     r->watch.n_found = 0;
     fb_chattering *const c = &r->chattering;
     c->lengths = (fb_step_lengths){0.0, 0.0, 0.0};
+    c->mean = 0.0;
     c->in_a_row = 0;
     c->noted = s->n_steps;
     return fb_begin_events(r);

@@ -44,7 +44,7 @@ static inline int fb_has_collapsed(fb_run *r)
 
 /* Steps take too long, so that a jump of the equations may be the reason, if so many of them are shorter than a
  * fraction of the average over time, or the run would take more than so many. */
-enum { FB_STEPS_BETWEEN_LOOKS = 50 };
+enum { FB_SHORT_STEPS = 20 };
 #define FB_SHORT_RATIO 1e-4
 #define FB_TOO_MANY 1e6
 
@@ -54,9 +54,9 @@ static inline double fb_short_steps(fb_step_lengths *lengths, const double h, co
 {
     lengths->sum += fabs(h);
     lengths->squares += h * h;
-    if (number % FB_STEPS_BETWEEN_LOOKS != 0)
+    if (number % FB_SHORT_STEPS != 0)
         return 0.0;
-    const double mean = (lengths->sum - lengths->looked) / FB_STEPS_BETWEEN_LOOKS;
+    const double mean = (lengths->sum - lengths->looked) / FB_SHORT_STEPS;
     lengths->looked = lengths->sum;
     return mean * lengths->sum < FB_SHORT_RATIO * lengths->squares || mean * FB_TOO_MANY < length_of_run ? mean : 0.0;
 }

@@ -12,6 +12,8 @@ from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
+import numpy as np
+
 from fourbar_codegen.arguments import is_integer, listed, one_of
 from fourbar_codegen.building.toolchain import compile_shared, runtime_headers
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
@@ -20,6 +22,7 @@ from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.roles import METHODS, VECTORS
+from fourbar_codegen.simulation.events import EventLike, as_event
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -97,6 +100,7 @@ def export_fmu(
     platforms: Sequence[str] = (),
     quantities: Sequence[str] = (),
     method: str = "DOP853",
+    events: EventLike | Sequence[EventLike] = (),
 ) -> Path:
     """Write a model as a Functional Mock-up Unit of FMI 3.0 or 2.0, for model exchange and co-simulation.
 
@@ -120,6 +124,10 @@ def export_fmu(
         "spin", see `CompiledModel.momentum`.
     method : str, optional
         Of co-simulation: an explicit one with step control, as for `CompiledModel.ensemble`.
+    events : str, `Event`, or list of these, optional
+        Names of states, outputs, energies and vectors' components among the FMU's variables. They are event indicators
+        of model exchange. In co-simulation of FMI 3.0 a step ends early at each of them, if the importer allows it; a
+        terminal event ends the simulation.
 
     Returns
     -------
@@ -161,6 +169,10 @@ def export_fmu(
     for each in wanted:
         one_of(each, names, "quantity")
     one_of(method, METHODS, "method")
+    watched = [as_event(event) for event in (events if isinstance(events, list | tuple) else [events])]
+    for event in watched:
+        if callable(event.function):
+            raise ModelError("An event of an FMU is the name of one of its variables, not a callable.")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout
@@ -173,16 +185,28 @@ def export_fmu(
                     "these in Model(parameters=...)."
                 )
         from fourbar_codegen.codegen.fmu import (
+            Indicator,
             build_description,
             description,
             fmu_source,
             sources_of,
             variables_of,
+            watched_variable,
         )
 
-        name, main = layout.name, fmu_source(fmi, layout, method)
-        files = _library_files(generated, progress, main)
         variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
+        indicators = [
+            Indicator(
+                *watched_variable(layout, variables, str(event.function)),
+                direction=int(np.sign(event.direction)),
+                terminal=int(event.terminal),
+                ends_only=int(not event.all_roots),
+                at_start=int(event.at_start),
+            )
+            for event in watched
+        ]
+        name, main = layout.name, fmu_source(fmi, layout, method, indicators)
+        files = _library_files(generated, progress, main)
         sources = {
             file: text for file, text in files.items() if file.endswith((".c", ".h", ".inc")) and file != "main.c"
         }
@@ -198,7 +222,7 @@ def export_fmu(
                 target = None if kind == _platform() else PLATFORMS[kind][0]
                 built = compile_shared(library, folder, sources_of(name), target)
                 binaries[f"binaries/{own}/{built.name}"] = built.read_bytes()
-        texts = {"modelDescription.xml": description(fmi, layout, variables, _version())}
+        texts = {"modelDescription.xml": description(fmi, layout, variables, indicators, _version())}
         if fmi == 3:
             texts["sources/buildDescription.xml"] = build_description(name)
         texts |= {f"sources/{file}": text for file, text in sources.items()}

@@ -135,6 +135,93 @@ def test_fmu_in_co_simulation_steps_by_the_method_of_export(tmp_path, method):
         np.testing.assert_allclose([row[name] for name in compiled.states], x, rtol=0, atol=1e-12)
 
 
+@BOTH
+def test_fmu_events_are_indicators_of_model_exchange(fmi, tmp_path, four_bar):
+    """FMPy's CVODE finds their roots; at a tolerance of 1e-9, times agree to a hundred times that."""
+    events = [fb.Event("u1"), fb.Event("q1", direction=1), fb.Event("u2", terminal=4)]
+    path = str(fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu", fmi=fmi, events=events))
+    assert validate_fmu(path) == []
+    assert fmpy.read_model_description(path).numberOfEventIndicators == 3
+    run = four_bar.simulate((0.0, 4.0), events=events, rtol=1e-12, atol=1e-12)
+    assert run.status == 1
+    found = fmpy.simulate_fmu(
+        path, fmi_type="ModelExchange", stop_time=4.0, output_interval=0.5, relative_tolerance=1e-9, output=["u1"]
+    )  # fmt: skip
+    assert found["time"][-1] == pytest.approx(run.t[-1], abs=1e-7)
+    for time in np.concatenate([run.t_events[0], run.t_events[2]]):
+        assert np.abs(found["time"] - time).min() < 1e-7
+
+
+def test_fmu_steps_end_early_at_events_if_the_importer_allows_it(tmp_path, four_bar):
+    """Communication steps of 0.5 s; the tolerance is 1e-10."""
+    events = [fb.Event("u1"), fb.Event("kinetic_energy", direction=1), fb.Event("u2", terminal=4)]
+    path = str(fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu", events=events))
+    run = four_bar.simulate((0.0, 4.0), events=events, rtol=1e-12, atol=1e-12)
+    how = {"fmi_type": "CoSimulation", "stop_time": 4.0, "output_interval": 0.5, "relative_tolerance": 1e-10}
+    found = fmpy.simulate_fmu(path, early_return_allowed=True, output=["u1", "u2"], **how)
+    times = [0.0, *np.arange(0.5, run.t[-1], 0.5), *run.t_events[0]]
+    np.testing.assert_allclose(run.t_events[2], run.t_events[0], rtol=0, atol=1e-9)  # all links rest at once
+    np.testing.assert_allclose(found["time"], np.sort(times), rtol=0, atol=1e-8)
+    assert abs(found["u2"][-1]) < 1e-7
+    [at] = [np.abs(found["time"] - time).argmin() for time in run.t_events[0][:1]]
+    assert abs(found["u1"][at]) < 1e-9
+    whole = fmpy.simulate_fmu(path, output=["u1", "u2"], **how)
+    np.testing.assert_allclose(whole["time"][:-1], np.arange(0.0, run.t[-1], 0.5), rtol=0, atol=1e-12)
+    assert abs(whole["u2"][-1]) < 1e-7
+
+
+def test_fmu_of_fmi_2_ends_co_simulation_at_a_terminal_event(tmp_path, four_bar):
+    events = fb.Event("u1", terminal=2)
+    path = str(fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu", fmi=2, events=events))
+    run = four_bar.simulate((0.0, 4.0), events=events, rtol=1e-12, atol=1e-12)
+    found = fmpy.simulate_fmu(
+        path, fmi_type="CoSimulation", stop_time=4.0, output_interval=0.5, relative_tolerance=1e-10, output=["u1"]
+    )  # fmt: skip
+    assert found["time"][-1] == pytest.approx(run.t[-1], abs=1e-8)
+    assert abs(found["u1"][-1]) < 1e-9
+
+
+@BOTH
+def test_fmu_states_saved_between_events_count_them(fmi, tmp_path, four_bar):
+    events = fb.Event("u1", terminal=2)
+    path = str(fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu", fmi=fmi, events=events))
+    first, second = four_bar.simulate((0.0, 4.0), events=events, rtol=1e-12, atol=1e-12).t_events[0]
+    middle = 0.5 * (first + second)
+    instance = Instance(path, fmi, tmp_path / "a")
+    instance.begin(tolerance=1e-10)
+    instance.step(0.0, middle)
+    fmu = instance.fmu
+    saved = fmu.serializeFMUState(fmu.getFMUState())
+    other = Instance(path, fmi, tmp_path / "b")
+    other.begin(tolerance=1e-10)
+    other.fmu.setFMUState(other.fmu.deserializeFMUState(saved))
+    for each in (instance, other):
+        if fmi == 3:
+            _, is_over, _, time = each.fmu.doStep(currentCommunicationPoint=middle, communicationStepSize=1.0)
+            assert is_over
+            assert time == pytest.approx(second, abs=1e-8)
+        else:
+            with pytest.raises(fmpy.fmi1.FMICallException):
+                each.step(middle, 1.0)
+        assert each.get("time")[0] == pytest.approx(second, abs=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("events", "words"),
+    [
+        ("t", "name of one of its states, outputs, energies or momenta"),
+        ("lambda1", "make others an output of the model"),
+        ("momentum_x", "make others an output of the model"),
+        ("P2.x", "make others an output of the model"),
+        ([lambda t, x: t], "not a callable"),
+        (3.0, "events are callables of"),
+    ],
+)
+def test_fmu_of_events_that_it_cannot_have_is_refused(tmp_path, events, words):
+    with pytest.raises(fb.ModelError, match=words):
+        fb.export_fmu(fb.models.four_bar(), tmp_path / "four_bar.fmu", events=events)
+
+
 def test_fmu_of_an_unknown_method_is_refused(tmp_path):
     with pytest.raises(fb.ModelError, match=r"method .*Euler.*DOP853"):
         fb.export_fmu(fb.models.slider_crank(), tmp_path / "a.fmu", method="Euler")
@@ -247,7 +334,7 @@ def test_fmu_states_of_other_models_or_damaged_ones_are_refused(fmus, fmi, tmp_p
         texts.append(bytes(each.fmu.serializeFMUState(saved)))
         each.fmu.freeFMUState(saved)
     whole, other = texts
-    assert whole.startswith(b"fourbar state 1\0")
+    assert whole.startswith(b"fourbar state 2\0")
     generator = np.random.default_rng(0)
     damaged = []
     for _ in range(300):
@@ -259,7 +346,7 @@ def test_fmu_states_of_other_models_or_damaged_ones_are_refused(fmus, fmi, tmp_p
     noise = [generator.bytes(n) for n in (1, 15, 16, 60, len(whole), 50000)]
     cases = [
         (other, "one of another model"),
-        (whole.replace(b"state 1", b"state 0"), "do not begin with"),
+        (whole.replace(b"state 2", b"state 0"), "do not begin with"),
         (whole + b"\0", f"has {len(whole)} bytes, not {len(whole) + 1}"),
         (whole[:-1] + bytes([whole[-1] ^ 1]), "damaged"),
         *((text, "serialized state") for text in (*damaged, *cut, *noise)),

@@ -16,9 +16,17 @@ from xml.etree import ElementTree as ET
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import QUANTITIES
+from fourbar_codegen.roles import QUANTITIES, Watched
 
-__all__ = ["build_description", "description", "fmu_source", "sources_of", "variables_of"]
+__all__ = [
+    "Indicator",
+    "build_description",
+    "description",
+    "fmu_source",
+    "sources_of",
+    "variables_of",
+    "watched_variable",
+]
 
 XML_CHARACTERS = "\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff"
 """Those of XML 1.0 (https://www.w3.org/TR/xml/#charsets), besides the ends of lines and tabulators."""
@@ -56,6 +64,29 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Indicator:
+    """An event of an FMU: a change of sign of a variable.
+
+    Attributes
+    ----------
+    reference : int
+        The value reference of the variable.
+    quantity, number : int
+        What the library watches.
+    direction, terminal, ends_only, at_start : int
+        As in the library's structure of an event.
+    """
+
+    reference: int
+    quantity: Watched
+    number: int
+    direction: int
+    terminal: int
+    ends_only: int
+    at_start: int
+
+
+@dataclass(frozen=True)
 class _Group:
     """Results that a function of the library evaluates at once.
 
@@ -63,6 +94,8 @@ class _Group:
     ----------
     function : str
         The function's name, after that of the model.
+    watched : Watched or None
+        What the results are for events; None if they are not watched.
     results : sequence of tuple
         Name, description and unit of each; None for those that are not variables.
     per_argument : int
@@ -74,6 +107,7 @@ class _Group:
     """
 
     function: str
+    watched: Watched | None
     results: Sequence[tuple[str, str, str] | None]
     per_argument: int
     needs_inputs: bool = False
@@ -88,9 +122,14 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[_Group]:
         name = point.name or f"point {number}"
         points += [(f"{name}.{axis}", f"position of {name}", "m") for axis in "xyz"]
     groups = [
-        _Group("outputs", [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
-        _Group("energies", [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None], 1),
-        _Group("points", points, len(points)),
+        _Group("outputs", Watched.OUTPUT, [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
+        _Group(
+            "energies",
+            Watched.ENERGY,
+            [("kinetic energy", "", "J"), potential if layout.potential_energy.is_known else None],
+            1,
+        ),
+        _Group("points", None, points, len(points)),
     ]
     for role, vectors in QUANTITIES.items():
         results = [
@@ -100,7 +139,7 @@ def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[_Group]:
             for vector in vectors
             for name in vector.components
         ]
-        groups.append(_Group(role.function, results, 3))
+        groups.append(_Group(role.function, Watched.MOMENTUM, results, 3))
     return [group for group in groups if group.results]
 
 
@@ -165,6 +204,32 @@ def variables_of(layout: Layout, defaults: Sequence[float], quantities: Sequence
     return found
 
 
+def watched_variable(layout: Layout, variables: Sequence[Variable], name: str) -> tuple[int, Watched, int]:
+    """The value reference of a state or output of an FMU by its name in Python, and what a library watches of it.
+
+    Raises
+    ------
+    ModelError
+        If no variable of the FMU has this name, or it is a position of a point.
+    """
+    names = {"kinetic_energy": "kinetic energy", "potential_energy": "potential energy"}
+    own = names.get(name, name)
+    begin = 1 + max(v.reference for v in variables if v.kind != "output")
+    found = next((v for v in variables if v.name == own and v.kind in {"state", "output"}), None)
+    if found is not None and found.kind == "state":
+        return found.reference, Watched.STATE, found.reference - 1
+    reference = -1 if found is None else found.reference
+    for group in _groups(layout):
+        if group.watched is not None and begin <= reference < begin + len(group.results):
+            return reference, group.watched, reference - begin
+        begin += len(group.results)
+    known = [*layout.states, *layout.outputs, *names]
+    raise ModelError(
+        f"An event of an FMU is the name of one of its states, outputs, energies or momenta ({', '.join(known)}), not "
+        f"{shown(name)}: make others an output of the model."
+    )
+
+
 def _check(variable: Variable) -> None:
     """Raise if a text of a variable has characters that XML cannot have; only descriptions may be of several lines."""
     for what, text, allowed in (
@@ -181,7 +246,9 @@ def _check(variable: Variable) -> None:
             )
 
 
-def description(fmi: int, layout: Layout, variables: Sequence[Variable], version: str) -> str:
+def description(
+    fmi: int, layout: Layout, variables: Sequence[Variable], indicators: Sequence[Indicator], version: str
+) -> str:
     """The file modelDescription.xml.
 
     Parameters
@@ -189,6 +256,7 @@ def description(fmi: int, layout: Layout, variables: Sequence[Variable], version
     fmi : {2, 3}
     layout : Layout
     variables : sequence of Variable
+    indicators : sequence of Indicator
     version : str
         Of fourbar_codegen.
     """
@@ -207,6 +275,11 @@ def description(fmi: int, layout: Layout, variables: Sequence[Variable], version
         ET.SubElement(root, "ModelExchange", able, **({"needsCompletedIntegratorStep": "true"} if fmi == 3 else {})),
         ET.SubElement(root, "CoSimulation", able, canHandleVariableCommunicationStepSize="true"),
     ]
+    if indicators:
+        if fmi == 2:
+            root.set("numberOfEventIndicators", str(len(indicators)))
+        else:
+            kinds[1].set("mightReturnEarlyFromDoStep", "true")
     if fmi == 2:
         kinds[1].set("canInterpolateInputs", "true")
         for kind in kinds:
@@ -248,6 +321,8 @@ def description(fmi: int, layout: Layout, variables: Sequence[Variable], version
                 if element == "Output" and number in depends:
                     own["dependencies"] = " ".join(str(variables[place].reference) for place in depends[number])
                 ET.SubElement(structure, element, own)
+        for indicator in indicators:
+            ET.SubElement(structure, "EventIndicator", valueReference=str(indicator.reference))
     return _xml(root)
 
 
@@ -345,7 +420,23 @@ static int fmu_fill(struct {name} *model, const int group, double *results)
 }}"""
 
 
-def fmu_source(fmi: int, layout: Layout, method: str) -> str:
+def _events(name: str, indicators: Sequence[Indicator]) -> str:
+    """The events in C."""
+    rows = ",\n".join(
+        f"    {{.quantity = {int(i.quantity)}, .number = {i.number}, .direction = {i.direction}, "
+        f".terminal = {i.terminal}, .ends_only = {i.ends_only}, .at_start = {i.at_start}}}"
+        for i in indicators
+    )
+    references = ", ".join(str(indicator.reference) for indicator in indicators) or "0"
+    return f"""\
+enum {{ FMU_N_EVENTS = {len(indicators)} }};
+static const unsigned fmu_indicators[] = {{{references}}}; /* their value references */
+static const struct {name}_event fmu_events[] = {{
+{rows or "    {0}"}
+}};"""
+
+
+def fmu_source(fmi: int, layout: Layout, method: str, indicators: Sequence[Indicator]) -> str:
     """The source of an FMU besides those of its library."""
     name = layout.name
     has_rates = ", ".join(str(int(not e.order and e.of in layout.has_rates)) for e in layout.inputs) or "0"
@@ -362,6 +453,8 @@ static const int fmu_method = {name}_{method.lower()}; /* of co-simulation */
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
 {_results(layout)}
+
+{_events(name, indicators)}
 
 #define FB_MODEL {name}
 #include "{FOLDER}export/fmi{fmi}.h"

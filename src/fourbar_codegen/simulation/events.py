@@ -27,7 +27,7 @@ TOUCHED = (
     "which is no event."
 )
 
-__all__ = ["Event", "EventLike", "Watch", "event_rows", "events_of", "touched", "watched_quantity"]
+__all__ = ["Event", "EventLike", "Watch", "as_event", "event_rows", "events_of", "touched", "watched_quantity"]
 
 Floats = NDArray[np.float64]
 
@@ -97,14 +97,21 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
         return None
     watched = []
     for event in events if isinstance(events, list | tuple) else [events]:
-        if not isinstance(event, Event):
-            given: Any = event
-            event = Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
+        event = as_event(event)
         if not callable(event.function):
-            event = replace(event, function=name_of(event.function))
-            watched_quantity(model, str(event.function))
+            watched_quantity(model, event.function)
         watched.append(event)
     return watched
+
+
+def as_event(given: Any) -> Event:
+    """An event, of which a name or a callable may be given."""
+    event = (
+        given
+        if isinstance(given, Event)
+        else Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
+    )
+    return event if callable(event.function) else replace(event, function=name_of(event.function))
 
 
 def watched_quantity(model: Kernel, name: str) -> tuple[Watched, int]:

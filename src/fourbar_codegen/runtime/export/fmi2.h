@@ -256,7 +256,8 @@ FMI2_EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component instance, fmi2EventIn
     if (!fmu_may(f, "fmi2NewDiscreteStates", FMU_EVENT) ||
         !fmu_handle_event(f, &changed, &defined, &info->nextEventTime))
         return fmi2Error;
-    info->newDiscreteStatesNeeded = info->terminateSimulation = info->nominalsOfContinuousStatesChanged = 0;
+    info->newDiscreteStatesNeeded = info->nominalsOfContinuousStatesChanged = 0;
+    info->terminateSimulation = f->state.is_over;
     info->valuesOfContinuousStatesChanged = changed;
     info->nextEventTimeDefined = defined;
     return fmi2OK;
@@ -279,7 +280,9 @@ FMI2_EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component instance, fmi2B
     if (!fmu_may(f, "fmi2CompletedIntegratorStep", FMU_CONTINUOUS))
         return fmi2Error;
     *enter_event = fmu_is_open(f);
-    *terminate = 0;
+    if (!fmu_note_signs(f, 0))
+        return fmi2Error;
+    *terminate = f->state.is_over;
     return fmi2OK;
 }
 
@@ -307,9 +310,8 @@ FMI2_EXPORT fmi2Status fmi2GetDerivatives(fmi2Component instance, fmi2Real deriv
 FMI2_EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component instance, fmi2Real indicators[], size_t n)
 {
     fmu *const f = instance;
-    (void)indicators;
     return fmu_status(fmu_may(f, "fmi2GetEventIndicators", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) &&
-                      (n == 0 || fmu_fail(f, "There are no event indicators.")));
+                      fmu_get_indicators(f, indicators, n));
 }
 
 FMI2_EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component instance, fmi2Real states[], size_t n)
@@ -379,6 +381,8 @@ FMI2_EXPORT fmi2Status fmi2DoStep(fmi2Component instance, fmi2Real begin, fmi2Re
     if (!fmu_may(f, "fmi2DoStep", FMU_STEP))
         return fmi2Error;
     const int taken = fmu_step(f, begin, length, &reached);
+    if (taken > 0 && f->state.is_over)
+        return fmi2Discard; /* the importer asks for fmi2Terminated, and for the time reached */
     return taken > 0 ? fmi2OK : taken < 0 ? fmi2Discard : fmi2Error;
 }
 
@@ -415,7 +419,7 @@ FMI2_EXPORT fmi2Status fmi2GetBooleanStatus(fmi2Component instance, const fmi2St
     fmu *const f = instance;
     if (f == NULL || kind != fmi2Terminated)
         return fmu_status(fmu_lacks(instance, "this status"));
-    *value = f->state.mode == FMU_TERMINATED;
+    *value = f->state.mode == FMU_TERMINATED || f->state.is_over;
     return fmi2OK;
 }
 

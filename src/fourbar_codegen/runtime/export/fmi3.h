@@ -98,11 +98,13 @@ FMI3_EXPORT fmi3Instance fmi3InstantiateCoSimulation(fmi3String name, fmi3String
     (void)resources;
     (void)visible;
     (void)event_mode;
-    (void)early_return;
     (void)required;
     (void)n_required;
     (void)update;
-    return instantiated(name, token, logs, environment, log, 1);
+    fmu *const f = instantiated(name, token, logs, environment, log, 1);
+    if (f)
+        f->returns_early = early_return;
+    return f;
 }
 
 FMI3_EXPORT fmi3Instance fmi3InstantiateScheduledExecution(fmi3String name, fmi3String token, fmi3String resources,
@@ -426,7 +428,8 @@ FMI3_EXPORT fmi3Status fmi3UpdateDiscreteStates(fmi3Instance instance, fmi3Boole
     int changed = 0, defined = 0;
     if (!fmu_may(f, "fmi3UpdateDiscreteStates", FMU_EVENT) || !fmu_handle_event(f, &changed, &defined, next))
         return fmi3Error;
-    *need_update = *terminate = *nominals_changed = false;
+    *need_update = *nominals_changed = false;
+    *terminate = f->state.is_over;
     *values_changed = changed;
     *has_next = defined;
     return fmi3OK;
@@ -449,7 +452,9 @@ FMI3_EXPORT fmi3Status fmi3CompletedIntegratorStep(fmi3Instance instance, fmi3Bo
     if (!fmu_may(f, "fmi3CompletedIntegratorStep", FMU_CONTINUOUS))
         return fmi3Error;
     *enter_event = fmu_is_open(f);
-    *terminate = false;
+    if (!fmu_note_signs(f, 0))
+        return fmi3Error;
+    *terminate = f->state.is_over;
     return fmi3OK;
 }
 
@@ -478,9 +483,8 @@ FMI3_EXPORT fmi3Status fmi3GetContinuousStateDerivatives(fmi3Instance instance, 
 FMI3_EXPORT fmi3Status fmi3GetEventIndicators(fmi3Instance instance, double indicators[], size_t n)
 {
     fmu *const f = instance;
-    (void)indicators;
     return fmu_status(fmu_may(f, "fmi3GetEventIndicators", FMU_INITIALIZATION | FMU_EVENT | FMU_CONTINUOUS) &&
-                      (n == 0 || fmu_fail(f, "There are no event indicators.")));
+                      fmu_get_indicators(f, indicators, n));
 }
 
 FMI3_EXPORT fmi3Status fmi3GetContinuousStates(fmi3Instance instance, double states[], size_t n)
@@ -509,7 +513,7 @@ FMI3_EXPORT fmi3Status fmi3GetNumberOfEventIndicators(fmi3Instance instance, siz
 {
     if (instance == NULL || n == NULL)
         return fmi3Error;
-    *n = 0;
+    *n = FMU_N_EVENTS;
     return fmi3OK;
 }
 
@@ -545,7 +549,11 @@ FMI3_EXPORT fmi3Status fmi3DoStep(fmi3Instance instance, double begin, double le
     fmu *const f = instance;
     (void)no_set;
     *event_needed = *terminate = *early = false;
-    return fmu_status(fmu_may(f, "fmi3DoStep", FMU_STEP) && fmu_step(f, begin, length, reached) > 0);
+    if (!fmu_may(f, "fmi3DoStep", FMU_STEP) || fmu_step(f, begin, length, reached) <= 0)
+        return fmi3Error;
+    *terminate = f->state.is_over;
+    *early = f->returns_early && *reached < begin + length;
+    return fmi3OK;
 }
 
 #endif

@@ -1,9 +1,10 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by export/fmi2.h or export/fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, and what results an FMU has: FMU_N_RESULTS, in groups that
- * are evaluated at once by fmu_fill, and end before the numbers in fmu_ends. Value references are numbers in this
- * order: time, states, their derivatives, parameters, inputs, results.
+ * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, what results an FMU has: FMU_N_RESULTS, in groups that are
+ * evaluated at once by fmu_fill, and end before the numbers in fmu_ends; and its events: FMU_N_EVENTS, fmu_events, and
+ * fmu_indicators, their value references. Value references are numbers in this order: time, states, their derivatives,
+ * parameters, inputs, results.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
  */
@@ -40,8 +41,16 @@ enum {
 #define FB_FMU_RTOL 1e-6
 #define FB_FMU_VIOLATION_RTOL 1e-9
 
+/* The most events of a communication step that are stored at once; and the relative difference of times that are equal
+ * but for rounding errors. */
+enum { FMU_ROOM = 16 };
+#define FMU_SAME_RTOL 1e-10
+
+/* Where an event indicator is below this fraction of its largest value, an importer has found its root. */
+#define FMU_ROOT_RTOL 1e-9
+
 /* How serialized states begin; the number changes with their contents. */
-#define FMU_KIND "fourbar state 1"
+#define FMU_KIND "fourbar state 2"
 #define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
 /* The interval of `between`, in export/library.h. */
@@ -58,6 +67,13 @@ enum fmu_mode {
     FMU_INITIALIZED = FMU_EVENT | FMU_CONTINUOUS | FMU_STEP
 };
 
+/* What was seen of an event indicator. */
+typedef struct fmu_indicator {
+    double largest;        /* its largest value */
+    int32_t sign, at_zero; /* its last sign, 0 before the first; whether that is the next one, at a root */
+    int64_t count;         /* of events */
+} fmu_indicator;
+
 /* All that a saved state contains. */
 typedef struct fmu_state {
     struct FB_MODEL model;
@@ -68,11 +84,14 @@ typedef struct fmu_state {
     double tolerance, start, stop;
     int valid; /* whether the rates are those of the present state, in bit 0; each group of results, in the next ones */
     double rates[N_X], results[FMU_N_RESULTS];
+    fmu_indicator indicators[FMU_AT_LEAST_1(FMU_N_EVENTS)];
+    int is_over; /* whether a terminal event has occurred */
 } fmu_state;
 
 typedef struct fmu {
     fmu_state state;
-    int logs;
+    int logs, returns_early; /* whether steps of co-simulation may end at events */
+    double work[FMU_AT_LEAST_1(FMU_N_EVENTS) * FB_PUBLIC(event_work)];
     char *name;
     void *environment;
     void (*write)(struct fmu *fmu, int is_error, const char *text);
@@ -357,7 +376,90 @@ static int fmu_directional_derivative(fmu *f, const unsigned *unknowns, const si
     return 1;
 }
 
-/* Advances by a communication step; 0 if it must not be taken, -1 if it ends early. */
+/* The values of the event indicators. */
+static int fmu_get_indicators(fmu *f, double *indicators, const size_t n)
+{
+    if (n != FMU_N_EVENTS)
+        return fmu_fail(f, "There are %d event indicators, not %d.", (int)FMU_N_EVENTS, (int)n);
+    return fmu_get(f, fmu_indicators, n, indicators);
+}
+
+/* Takes note of an event; the last one of a terminal kind ends the simulation. */
+static void fmu_count(fmu *f, const int event)
+{
+    const long terminal = fmu_events[event].terminal;
+    f->state.indicators[event].count += 1;
+    f->state.is_over |= terminal > 0 && f->state.indicators[event].count >= terminal;
+}
+
+/* In model exchange: counts the event indicators that change their sign, in event mode at the root itself. */
+static int fmu_note_signs(fmu *f, const int is_event)
+{
+    double values[FMU_AT_LEAST_1(FMU_N_EVENTS)];
+    if (!fmu_get_indicators(f, values, FMU_N_EVENTS))
+        return 0;
+    for (int i = 0; i < FMU_N_EVENTS; ++i) {
+        fmu_indicator *const seen = f->state.indicators + i;
+        const int32_t before = seen->sign, sign = values[i] > 0.0 ? 1 : -1;
+        seen->largest = fmax(seen->largest, fabs(values[i]));
+        if (!(fabs(values[i]) > FMU_ROOT_RTOL * seen->largest)) {
+            if (!is_event || before == 0 || seen->at_zero)
+                continue;
+            seen->at_zero = 1;
+            seen->sign = -before;
+        } else {
+            seen->sign = sign;
+            if (before == 0 || before == sign || seen->at_zero) {
+                seen->at_zero = 0;
+                continue;
+            }
+        }
+        if (seen->sign * fmu_events[i].direction >= 0)
+            fmu_count(f, i);
+    }
+    return 1;
+}
+
+/* The mechanism is where an event was found. */
+static void fmu_move_to(struct FB_MODEL *m, const struct FB_NAMED(FB_MODEL, found) * found)
+{
+    m->t = found->t;
+    memcpy(m->x, found->x, sizeof m->x);
+}
+
+/* Runs to the end of a communication step, or to an event at which it ends; the status of the mechanism. Events at the
+ * same time to within rounding errors count together, since a run that begins there has them no more. */
+static int fmu_run(fmu *f, const double end)
+{
+    fmu_state *const s = &f->state;
+    struct FB_MODEL *const m = &s->model;
+    struct FB_NAMED(FB_MODEL, event) event[FMU_AT_LEAST_1(FMU_N_EVENTS)];
+    struct FB_NAMED(FB_MODEL, found) found[FMU_ROOM];
+    struct FB_NAMED(FB_MODEL, events)
+        events = {.n = FMU_N_EVENTS, .event = event, .work = f->work, .found = found, .room = FMU_ROOM};
+    for (;;) {
+        memcpy(event, fmu_events, sizeof event);
+        for (int i = 0; i < FMU_N_EVENTS; ++i) {
+            event[i].terminal = 0;
+            event[i].at_start &= m->t == s->start;
+        }
+        const int status = FB_PUBLIC(simulate_events)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL, &events);
+        const int n = events.n_found < FMU_ROOM ? (int)events.n_found : FMU_ROOM;
+        for (int k = 0; k < n; ++k) {
+            fmu_count(f, found[k].event);
+            const int is_last = k + 1 == n || found[k + 1].t - found[k].t > FMU_SAME_RTOL * (1.0 + fabs(found[k].t));
+            if (is_last && (s->is_over || f->returns_early)) {
+                fmu_move_to(m, found + k);
+                return 0;
+            }
+        }
+        if (events.n_found <= FMU_ROOM)
+            return status;
+        fmu_move_to(m, found + n - 1);
+    }
+}
+
+/* Advances by a communication step, or to an event within it; 0 if it must not be taken, -1 if it fails. */
 static int fmu_step(fmu *f, const double begin, const double length, double *reached)
 {
     fmu_state *const s = &f->state;
@@ -370,7 +472,7 @@ static int fmu_step(fmu *f, const double begin, const double length, double *rea
         return fmu_fail(f, "The length of a step is %g: it must be positive.", length);
     if (!(end <= s->stop + rounding))
         return fmu_fail(f, "The step ends at t = %.9g, after the stop time, %.9g.", end, s->stop);
-    const int status = FB_PUBLIC(simulate)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL);
+    const int status = fmu_run(f, end);
     for (int k = 0; k < N_R; ++k) { /* derivatives of inputs are those in one step */
         m->r[k] += m->slope[k] != 0.0 ? m->slope[k] * (m->t - m->since) : 0.0;
         m->slope[k] = 0.0;
@@ -448,6 +550,8 @@ typedef struct fmu_record {
     uint64_t size, sum; /* of the record; of its other bytes */
     double t, since, tolerance, start, stop, interval[2];
     double x[N_X], given[N_X], p[FMU_AT_LEAST_1(N_P)], r[FMU_AT_LEAST_1(N_R)], slope[FMU_AT_LEAST_1(N_R)];
+    fmu_indicator indicators[FMU_AT_LEAST_1(FMU_N_EVENTS)];
+    int32_t is_over;
     int32_t held[FMU_AT_LEAST_1(N_R)], is_cosimulation, mode, is_open;
 } fmu_record;
 
@@ -486,6 +590,8 @@ static int fmu_serialize(fmu *f, const fmu_state *saved, void *bytes, const size
     memcpy(record.slope, m->slope, sizeof record.slope);
     for (int k = 0; k < N_R; ++k)
         record.held[k] = m->held[k];
+    memcpy(record.indicators, saved->indicators, sizeof record.indicators);
+    record.is_over = saved->is_over;
     record.is_cosimulation = saved->is_cosimulation;
     record.mode = saved->mode;
     record.is_open = saved->is_open;
@@ -530,6 +636,8 @@ static int fmu_deserialize(fmu *f, const void *bytes, const size_t size, void **
     memcpy(m->slope, record.slope, sizeof record.slope);
     for (int k = 0; k < N_R; ++k)
         m->held[k] = record.held[k];
+    memcpy(s->indicators, record.indicators, sizeof record.indicators);
+    s->is_over = record.is_over;
     s->is_cosimulation = record.is_cosimulation;
     s->mode = record.mode;
     s->is_open = record.is_open;
@@ -564,7 +672,7 @@ static int fmu_handle_event(fmu *f, int *has_changed, int *has_next, double *nex
     *has_next = *next > m->t && *next < INFINITY;
     FB_PUBLIC(between)(m, m->t, *next);
     f->state.valid = 0;
-    return 1;
+    return fmu_note_signs(f, 1);
 }
 
 #endif

@@ -118,6 +118,20 @@ def test_a_terminal_event_ends_its_member_alone(loop):
     assert ensemble[2].t_events[0].size == 0
 
 
+def test_outputs_of_members_that_an_event_ends_are_saved_at_their_times(loop, tmp_path):
+    """Neither the time of the event nor later ones have a value; an event after the last sample adds none."""
+    event = fb.Event("u1", terminal=2)
+    for t in (T, T[:2]):
+        ensemble = loop.ensemble((0.0, 4.0), parameters={"k": [2.0, 3.0]}, events=event, t_eval=t)
+        ends = np.array([times[-1] for times in ensemble.t_events[0]])
+        with np.load(ensemble.save(tmp_path / "runs.npz")) as saved:
+            sine = saved["sine"]
+        assert (ends > T[1]).all()
+        np.testing.assert_array_equal(np.isfinite(sine), t <= ends[:, np.newaxis])
+        np.testing.assert_allclose(sine, np.sin(ensemble["q1"] + ensemble["q2"]), rtol=1e-14)
+        np.testing.assert_array_equal(ensemble["sine"], sine)
+
+
 def test_first_flips_of_double_pendulums():
     """J. S. Heyl, "The double pendulum fractal", 2008: from rest, uniform bars with 3 cos a + cos b > 2 never flip.
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import FourbarError, ModelError
 from fourbar_codegen.files import check_free, path_of
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
-from fourbar_codegen.results.ensemble import Ensemble
+from fourbar_codegen.results.ensemble import Ensemble, over_members
 from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.roles import VECTORS
@@ -208,9 +208,9 @@ def write_ensemble_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
 def _series(ensemble: Ensemble) -> dict[str, Floats]:
     """States and outputs of all members by name, each of shape (n, n_t)."""
     model = ensemble.model
-    outputs = np.full((len(ensemble), len(model.outputs), len(ensemble.t)), np.nan)
-    for row, member in zip(outputs, ensemble if model.outputs else (), strict=False):
-        row[:, : len(member.t)] = member.outputs
+    has_outputs = model.outputs and len(ensemble)
+    nothing = np.empty((len(ensemble), len(model.outputs), len(ensemble.t)))
+    outputs = over_members(ensemble, lambda member: member.outputs) if has_outputs else nothing
     return {
         **{name: ensemble.y[:, i] for i, name in enumerate(model.states)},
         **{name: outputs[:, i] for i, name in enumerate(model.outputs)},

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import xarray
     from matplotlib.figure import Figure
 
-__all__ = ["WRITERS", "Ensemble"]
+__all__ = ["WRITERS", "Ensemble", "over_members"]
 
 Floats = NDArray[np.float64]
 
@@ -93,13 +93,9 @@ class Ensemble:
             return self.y[:, self.model.states.index(name)]
         if name == "t":
             return self.t
-        rows = [member[name][..., : np.isfinite(y).all(axis=0).sum()] for member, y in zip(self, self.y, strict=True)]
-        if not rows:
+        if not len(self):
             raise ModelError(f"The ensemble has no members, and {name!r} has no values.")
-        values = np.full((len(rows), *rows[0].shape[:-1], len(self.t)), np.nan)
-        for place, row in zip(values, rows, strict=True):
-            place[..., : row.shape[-1]] = row
-        return values
+        return over_members(self, lambda member: member[name])
 
     def _member(self, key: int) -> Trajectory:
         n = len(self)
@@ -237,6 +233,19 @@ class Ensemble:
             f"<Ensemble of {name}: {n} members{f', {failed} failed' if failed else ''}, {span}"
             f"{f', different in {varied}' if varied else ''}>"
         )
+
+
+def over_members(ensemble: Ensemble, quantity: Callable[[Trajectory], Floats]) -> Floats:
+    """A quantity of each member over its times, at the times of the ensemble: shape (n, ..., n_t).
+
+    NaN after the end of a member, whose state at a terminal event is at none of these times.
+    """
+    rows = [quantity(member) for member in ensemble]
+    reached = np.isfinite(ensemble.y).all(axis=1).sum(axis=1).tolist()
+    values = np.full((len(rows), *rows[0].shape[:-1], len(ensemble.t)), np.nan)
+    for place, row, n in zip(values, rows, reached, strict=True):
+        place[..., :n] = row[..., :n]
+    return values
 
 
 def _write_csv(ensemble: Ensemble, file: IO[bytes]) -> None:

@@ -10,6 +10,9 @@ from builders.oscillators import driven_oscillator, oscillator
 from scipy.special import ellipk
 
 import fourbar_codegen as fb
+from fourbar_codegen.dynamics.formation import form_equations
+from fourbar_codegen.lowering.lower import lower
+from fourbar_codegen.lowering.schedule import schedule
 
 T = np.linspace(0.0, 4.0, 9)
 STIFFNESS = np.linspace(2.0, 4.0, 13)
@@ -96,6 +99,18 @@ def test_what_touches_zero_after_the_end_of_a_member_is_not_said():
     [message] = model.ensemble((-1.5, 3.0), [[0.3, 0.0]], events=events).messages
     assert message == model.simulate((-1.5, 3.0), [0.3, 0.0], events=events).message
     assert message == "A termination event occurred."
+
+
+def test_an_output_that_cannot_be_evaluated_in_lanes_leaves_the_equations_there():
+    """A maximum of six terms has too many arguments; events by it are those of single runs all the same."""
+    x, v = me.dynamicsymbols("x v")
+    model = driven_oscillator(force=0, outputs={"most": sm.Max(*[i * x + i**2 * v - 1 for i in range(1, 7)])})
+    assert schedule(lower(model.name, form_equations(model))).has_batches
+    compiled = fb.compile_model(model)
+    x0 = [[0.3, speed] for speed in np.linspace(-1.0, 1.0, 9)]
+    ensemble = compiled.ensemble((0.0, 4.0), x0, events="most")
+    check(ensemble, [compiled.simulate((0.0, 4.0), each, events="most", t_eval=(0.0, 4.0)) for each in x0], 1e-12)
+    assert all(times.size for times in ensemble.t_events[0])
 
 
 def test_a_terminal_event_ends_its_member_alone(loop):

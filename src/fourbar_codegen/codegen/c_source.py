@@ -155,7 +155,7 @@ def _macros(scheduled: Schedule) -> str:
         "FB_FORCES_LINEAR": sizes.n_n and program.forces_are_linear,
         "FB_STATES_NEED_SOLUTION": program.states_need_solution,
         "FB_STATES_NEED_MULTIPLIERS": program.states_need_multipliers,
-        "FB_OUTPUTS_IN_LANES": sizes.n_o and not program.outputs_need_multipliers,
+        "FB_OUTPUTS_IN_LANES": any(f.role is Role.OUTPUT and f.is_vectorized for f in program.functions),
         "FB_OUTPUTS_NEED_SOLUTION": program.outputs_need_solution,
     }
     return "".join(f"#define {macro}\n" for macro, is_told in told.items() if is_told)

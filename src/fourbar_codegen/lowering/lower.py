@@ -37,6 +37,7 @@ from fourbar_codegen.lowering.program import (
     Sizes,
     Statements,
     Structure,
+    fits_lanes,
 )
 from fourbar_codegen.roles import Needs, Role
 
@@ -59,9 +60,6 @@ VECTORIZED = {
     Role.COORDINATE_CHANGE, Role.STATE_RATES, Role.OUTPUT,
 }  # fmt: skip
 """The functions that are also evaluated for batches of states, in the lanes of vectors; see lanes/lane_equations.h."""
-
-MAY_BE_MISSING = {Role.STATE_RATES, Role.OUTPUT}
-"""Those of them that are not called if they have no results."""
 
 N_EXAMPLES = 4
 """Points at which sparse Jacobians are evaluated."""
@@ -127,7 +125,6 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         states_need_solution=e.tape.depends(state_rates, (*v.accelerations, *v.multipliers)),
         states_need_multipliers=states_need_multipliers,
         outputs_need_solution=e.tape.depends(e.outputs.entries, (*v.accelerations, *v.multipliers)),
-        outputs_need_multipliers=e.tape.depends(e.outputs.entries, v.multipliers),
         forces_are_linear=e.driving_forces.are_linear,
     )
 
@@ -337,10 +334,11 @@ class _Drafts:
     def add(self, role: Role, *results: Result, further: Array | None = None) -> None:
         """Draft a function of a state, with a further vector if it takes one."""
         draft = self._of_state(role, results, () if further is None else (further,))
-        is_vectorized = role in VECTORIZED and (role not in MAY_BE_MISSING or any(r.entries for r in results))
-        if role is Role.OUTPUT:  # lanes do not solve for multipliers
-            entries = [entry for result in results for entry in result.entries]
-            is_vectorized &= not self.equations.tape.depends(entries, self.equations.variables.multipliers)
+        entries = [entry for result in results for entry in result.entries]
+        is_vectorized = role in VECTORIZED and (bool(entries) or role not in {Role.STATE_RATES, Role.OUTPUT})
+        if role is Role.OUTPUT:  # batches can do without, and multipliers are not solved for in lanes
+            needs_multipliers = self.equations.tape.depends(entries, self.equations.variables.multipliers)
+            is_vectorized &= fits_lanes(draft.statements) and not needs_multipliers
         self.drafts.append(replace(draft, role=role, is_vectorized=is_vectorized))
 
     def add_jvp(self, role: Role, results: Sequence[Result], direction: Array) -> None:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from fourbar_codegen.expressions.tape import ONE, Leaf, Node, Result, operands, operations_of
+from fourbar_codegen.expressions.tape import ONE, Call, Leaf, Node, Result, operands, operations_of
 from fourbar_codegen.layout import Form
 from fourbar_codegen.roles import Role
 
@@ -23,13 +23,22 @@ __all__ = [
     "Sizes",
     "Statements",
     "Structure",
+    "fits_lanes",
 ]
+
+MAX_ARGUMENTS = 4
+"""Most arguments of functions that arithmetic/real.h can evaluate lane by lane."""
 
 Statements = tuple[tuple[int, Node], ...]
 """Nodes and what they are, in order of evaluation."""
 
 Entries = tuple[tuple[int, int], ...]
 """Rows and columns of the entries of a matrix that are not zero."""
+
+
+def fits_lanes(statements: Statements) -> bool:
+    """Whether all functions that are called can be evaluated lane by lane."""
+    return all(len(o.arguments) <= MAX_ARGUMENTS for _, o in statements if isinstance(o, Call))
 
 
 @dataclass(frozen=True)
@@ -271,8 +280,8 @@ class Program:
         For recursive equations, the factors of M in `dynamics`; None for others.
     states_need_solution, states_need_multipliers : bool
         Whether state equations contain u' or multipliers; whether they contain multipliers.
-    outputs_need_solution, outputs_need_multipliers : bool
-        Likewise for outputs.
+    outputs_need_solution : bool
+        Whether outputs contain u' or multipliers.
     forces_are_linear : bool
         Whether the equations are linear in the unknown forces that drive the motion.
     """
@@ -288,7 +297,6 @@ class Program:
     states_need_solution: bool
     states_need_multipliers: bool
     outputs_need_solution: bool
-    outputs_need_multipliers: bool
     forces_are_linear: bool
 
     @property

@@ -14,7 +14,7 @@ import sympy as sm
 
 from fourbar_codegen.expressions.tape import ONE, Call, Scalar, operands
 from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS
-from fourbar_codegen.lowering.program import Function, Program
+from fourbar_codegen.lowering.program import Function, Program, fits_lanes
 from fourbar_codegen.roles import Role
 
 __all__ = [
@@ -52,9 +52,6 @@ MAX_SINGLE_ZEROS = 32
 MAX_INLINED_OPERATIONS = 600
 """Most operations of equations that are inlined into their callers. For batches of states, this gains 7 % for a chain
 of eight links (527), and 3 % for the bicycle (1301), which then takes 50 % longer to compile."""
-
-MAX_ARGUMENTS = 4
-"""Most arguments of functions that arithmetic/real.h can evaluate lane by lane."""
 
 
 @dataclass(frozen=True)
@@ -193,8 +190,7 @@ def schedule(program: Program) -> Schedule:
     (True, ['prepare', 'default_inputs', 'breakpoints'])
     """
     sizes, functions = program.sizes, program.functions
-    calls = (o for f in functions if f.is_vectorized for _, o in f.statements if isinstance(o, Call))
-    few_arguments = all(len(call.arguments) <= MAX_ARGUMENTS for call in calls)
+    few_arguments = all(fits_lanes(f.statements) for f in functions if f.is_vectorized)
     can_solve = program.form == "sparse" or sizes.n_c <= MAX_CONSTRAINTS
     return Schedule(
         program=program,

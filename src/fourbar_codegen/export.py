@@ -12,8 +12,6 @@ from contextlib import ExitStack
 from itertools import chain
 from pathlib import Path
 
-import numpy as np
-
 from fourbar_codegen.arguments import is_integer, listed, one_of
 from fourbar_codegen.building.toolchain import compile_shared, runtime_headers
 from fourbar_codegen.compile import Generated, generate_derivatives, generate_kernel, warn
@@ -22,7 +20,7 @@ from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.roles import METHODS, VECTORS
-from fourbar_codegen.simulation.events import EventLike, as_event
+from fourbar_codegen.simulation.events import EventLike, event_row, listed_events
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -169,7 +167,7 @@ def export_fmu(
     for each in wanted:
         one_of(each, names, "quantity")
     one_of(method, METHODS, "method")
-    watched = [as_event(event) for event in (events if isinstance(events, list | tuple) else [events])]
+    watched = listed_events(events)
     for event in watched:
         if callable(event.function):
             raise ModelError("An event of an FMU is the name of one of its variables, not a callable.")
@@ -195,16 +193,10 @@ def export_fmu(
         )
 
         variables = variables_of(layout, [_at_start(model, entry.name) for entry in layout.inputs], wanted)
-        indicators = [
-            Indicator(
-                *watched_variable(layout, variables, str(event.function)),
-                direction=int(np.sign(event.direction)),
-                terminal=int(event.terminal),
-                ends_only=int(not event.all_roots),
-                at_start=int(event.at_start),
-            )
-            for event in watched
-        ]
+        indicators = []
+        for event in watched:
+            reference, quantity, number = watched_variable(layout, variables, str(event.function))
+            indicators.append(Indicator(reference, event_row(event, quantity, number)))
         name, main = layout.name, fmu_source(fmi, layout, method, indicators)
         files = _library_files(generated, progress, main)
         sources = {

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from enum import Enum, IntEnum
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 __all__ = [
     "DIRECTIONS",
@@ -14,6 +14,7 @@ __all__ = [
     "QUANTITIES",
     "VECTOR",
     "VECTORS",
+    "EventRow",
     "Method",
     "Needs",
     "Quantity",
@@ -109,6 +110,28 @@ class Watched(_Enum):
     ENERGY = 5, "kinetic, potential, total"
     MOMENTUM = 6, "momentum, angular momentum and spin: three components each"
     CALLABLE = 7, "a function of the caller"
+
+
+class EventRow(NamedTuple):
+    """An event, as runs and libraries in C take it.
+
+    Attributes
+    ----------
+    quantity : Watched
+    number : int or callable
+        Of its values; the function of the caller itself.
+    direction, terminal : int
+        1, -1, or 0 for both; the number of events that end the run, or 0.
+    at_start, all_roots : bool
+        Whether a value of zero at the start counts; whether all roots within steps are found.
+    """
+
+    quantity: Watched
+    number: Any
+    direction: int
+    terminal: int
+    at_start: bool
+    all_roots: bool
 
 
 class Singular(_Enum):

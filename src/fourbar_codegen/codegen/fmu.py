@@ -10,13 +10,13 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 from xml.etree import ElementTree as ET
 
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import QUANTITIES, Watched
+from fourbar_codegen.roles import QUANTITIES, EventRow, Watched
 
 __all__ = [
     "Indicator",
@@ -63,27 +63,11 @@ class Variable:
     needs_inputs: bool = True
 
 
-@dataclass(frozen=True)
-class Indicator:
-    """An event of an FMU: a change of sign of a variable.
-
-    Attributes
-    ----------
-    reference : int
-        The value reference of the variable.
-    quantity, number : int
-        What the library watches.
-    direction, terminal, ends_only, at_start : int
-        As in the library's structure of an event.
-    """
+class Indicator(NamedTuple):
+    """An event of an FMU: a change of sign of the variable with a value reference."""
 
     reference: int
-    quantity: Watched
-    number: int
-    direction: int
-    terminal: int
-    ends_only: int
-    at_start: int
+    event: EventRow
 
 
 @dataclass(frozen=True)
@@ -423,9 +407,9 @@ static int fmu_fill(struct {name} *model, const int group, double *results)
 def _events(name: str, indicators: Sequence[Indicator]) -> str:
     """The events in C."""
     rows = ",\n".join(
-        f"    {{.quantity = {int(i.quantity)}, .number = {i.number}, .direction = {i.direction}, "
-        f".terminal = {i.terminal}, .ends_only = {i.ends_only}, .at_start = {i.at_start}}}"
-        for i in indicators
+        f"    {{.quantity = {int(e.quantity)}, .number = {e.number}, .direction = {e.direction}, "
+        f".terminal = {e.terminal}, .ends_only = {int(not e.all_roots)}, .at_start = {int(e.at_start)}}}"
+        for _, e in indicators
     )
     references = ", ".join(str(indicator.reference) for indicator in indicators) or "0"
     return f"""\

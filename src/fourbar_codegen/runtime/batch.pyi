@@ -6,6 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.roles import EventRow
 from fourbar_codegen.runtime.evaluator import Evaluator
 
 Floats = NDArray[np.float64]
@@ -53,7 +54,7 @@ class Members:
         times: Floats,
         breaks: Floats,
         max_steps: int,
-        events: Sequence[tuple[int, int, int, int, bool, bool]],
+        events: Sequence[EventRow],
     ) -> None: ...
     @property
     def found(self) -> Floats: ...

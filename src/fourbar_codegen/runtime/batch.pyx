@@ -4,14 +4,13 @@
 cimport cython
 cimport numpy as cnp
 from cpython.mem cimport PyMem_Calloc, PyMem_Free
-from libc.math cimport NAN
 from libc.stdint cimport int8_t, int64_t
 from libc.stdlib cimport free
 from libc.string cimport memcpy
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_CONSTRAINT_JVP, FB_STATE_PARTIALS, Evaluator, data, fb_batch_functions, fb_kernel, fb_source)
-from fourbar_codegen.runtime.integrator cimport Table, fb_breaks, fb_tableau, tableau_of
+from fourbar_codegen.runtime.integrator cimport Table, fb_breaks, fb_event, fb_tableau, set_event, tableau_of
 
 import numpy as np
 
@@ -30,11 +29,6 @@ cdef extern from "lanes/batch.h":
     const int FB_MEMBER_DONE
     const int FB_MEMBER_TERMINATED
     ctypedef struct fb_run
-    ctypedef struct fb_event:
-        int quantity, row, direction
-        int64_t terminal
-        int at_start, all_roots
-        double touched
     ctypedef struct fb_found_rows:
         fb_found_rows *next
         double *rows
@@ -272,8 +266,8 @@ cdef class Members:
         them; and those from which on after them.
     max_steps : int
         After this number of steps a member has to be run alone; 0 for no limit.
-    events : sequence
-        As those of `Run`, without callables.
+    events : sequence of EventRow
+        Callables are not called.
 
     Attributes
     ----------
@@ -315,10 +309,8 @@ cdef class Members:
         self.events = <fb_event *>PyMem_Calloc(len(events) + 1, sizeof(fb_event))
         if self.sources == NULL or self.events == NULL:
             raise MemoryError
-        for k, (quantity, row, direction, terminal, at_start, all_roots) in enumerate(events):
-            self.events[k].quantity, self.events[k].row, self.events[k].direction = quantity, row, direction
-            self.events[k].terminal, self.events[k].at_start, self.events[k].all_roots = terminal, at_start, all_roots
-            self.events[k].touched = NAN
+        for k, event in enumerate(events):
+            set_event(self.events + k, event, k)
         e.events.n, e.events.events, e.events.found = len(events), self.events, &self.rows
         e.events.begin, e.events.excludes = fb_begin_events, fb_excludes_events
         e.events.find = fb_find_events

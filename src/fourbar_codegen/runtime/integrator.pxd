@@ -2,6 +2,7 @@
 """Declarations of integrator.pyx for other extension modules of the runtime."""
 
 cimport numpy as cnp
+from libc.stdint cimport int64_t
 
 from fourbar_codegen.runtime.evaluator cimport Evaluator, fb_problem, fb_table
 
@@ -27,6 +28,15 @@ cdef extern from "steppers/tableaus.h":
     const fb_tableau *fb_tableaus[]
 
 
+cdef extern from "run/run.h":
+    ctypedef struct fb_event:
+        int quantity, row, direction
+        int64_t terminal
+        int at_start, all_roots
+        double touched
+
+
+cdef int set_event(fb_event *event, row, int place) except -1
 cdef const fb_tableau *tableau_of(str method) except NULL
 
 

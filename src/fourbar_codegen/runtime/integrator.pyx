@@ -82,11 +82,6 @@ cdef extern from "run/driver.h":
         int64_t room, n
         int pending
         double until
-    ctypedef struct fb_event:
-        int quantity, row, direction
-        int64_t terminal
-        int at_start, all_roots
-        double touched
     ctypedef struct fb_found:
         int event, jumps
         double fraction
@@ -128,7 +123,9 @@ cdef extern from "run/driver.h":
     int fb_run_on(fb_run *, int64_t) noexcept nogil
     int fb_enter(fb_run *, const fb_segment *, const double *) noexcept nogil
     int fb_stop_within(fb_run *, double) noexcept nogil
-    int FB_ALL_EVENTS, FB_MOST_CROSSINGS, FB_MOST_DEGREE
+    int FB_ALL_EVENTS
+    int fb_event_scratch(const fb_kernel *) noexcept nogil
+    size_t fb_place_events(fb_watch *, int, int, double *) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, int, double *) noexcept nogil
 
 cdef extern from "run/kept_steps.h":
@@ -643,6 +640,16 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
     return &fb_trapezoid if method == "ALI3P" else fb_tableaus[<int>_METHODS[method]]
 
 
+cdef int set_event(fb_event *event, row, int place) except -1:
+    """An event by an `EventRow`; a callable is called by its place."""
+    of = row.number
+    event.quantity, event.row = row.quantity, place if callable(of) else of
+    event.direction, event.terminal = row.direction, row.terminal
+    event.at_start, event.all_roots = row.at_start, row.all_roots
+    event.touched = NAN
+    return 0
+
+
 cdef const double *_fill(double *to, values, int n) except NULL:
     """Tolerances for n states, from a number or n numbers."""
     cdef cnp.ndarray given
@@ -907,19 +914,12 @@ cdef class Run:
         cdef fb_watch *watch = &self.run.watch
         cdef const fb_kernel *kernel = self.ode.evaluator.kernel
         cdef int n = watch.n_events, i
-        self.called_events = [event[1] if callable(event[1]) else None for event in events]
-        watch.events = <fb_event *>self._keep(np.zeros(n * sizeof(fb_event) // sizeof(double) + 1))
-        watch.found = <fb_found *>self._keep(np.zeros(FB_MOST_CROSSINGS * n * sizeof(fb_found) // sizeof(double) + 1))
-        watch.values = <double *>self._keep(np.zeros((FB_MOST_DEGREE + 3) * n))
-        watch.ends = watch.values + (FB_MOST_DEGREE + 1) * n
-        watch.polished = watch.ends + n
-        watch.scratch = <double *>self._keep(np.zeros(kernel.n_u + kernel.n_l + kernel.n_o + 12))
+        cdef int n_scratch = fb_event_scratch(kernel)
+        self.called_events = [event.number if callable(event.number) else None for event in events]
+        fb_place_events(watch, n, n_scratch, <double *>self._keep(np.zeros(fb_place_events(watch, n, n_scratch, NULL))))
         watch.call, watch.caller = _call_event, <void *>self
-        for i, (quantity, row, direction, terminal, at_start, all_roots) in enumerate(events):
-            watch.events[i].quantity, watch.events[i].row = quantity, i if callable(row) else row
-            watch.events[i].direction, watch.events[i].terminal = direction, terminal
-            watch.events[i].at_start, watch.events[i].all_roots = at_start, all_roots
-            watch.events[i].touched = NAN
+        for i, event in enumerate(events):
+            set_event(watch.events + i, event, i)
         return 0
 
     @property

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.arguments import finite_number, is_integer, name_of, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.roles import QUANTITIES, Role, Watched
+from fourbar_codegen.roles import QUANTITIES, EventRow, Role, Watched
 from fourbar_codegen.runtime.integrator import Run
 
 SPACING = 0.01
@@ -27,7 +27,7 @@ TOUCHED = (
     "which is no event."
 )
 
-__all__ = ["Event", "EventLike", "Watch", "as_event", "event_rows", "events_of", "touched", "watched_quantity"]
+__all__ = ["Event", "EventLike", "Watch", "event_row", "events_of", "touched", "watched_quantity"]
 
 Floats = NDArray[np.float64]
 
@@ -95,23 +95,22 @@ def events_of(model: Kernel, events: object) -> list[Event] | None:
     """The checked events of a run."""
     if events is None:
         return None
-    watched = []
-    for event in events if isinstance(events, list | tuple) else [events]:
-        event = as_event(event)
+    watched = listed_events(events)
+    for event in watched:
         if not callable(event.function):
             watched_quantity(model, event.function)
-        watched.append(event)
     return watched
 
 
-def as_event(given: Any) -> Event:
-    """An event, of which a name or a callable may be given."""
-    event = (
-        given
-        if isinstance(given, Event)
-        else Event(given, getattr(given, "terminal", False), getattr(given, "direction", 0.0))
-    )
-    return event if callable(event.function) else replace(event, function=name_of(event.function))
+def listed_events(given: Any) -> list[Event]:
+    """Events, of which one or several may be given, also by names or callables alone."""
+    found = []
+    for event in given if isinstance(given, list | tuple) else [given]:
+        if not isinstance(event, Event):
+            own: Any = event
+            event = Event(own, getattr(own, "terminal", False), getattr(own, "direction", 0.0))
+        found.append(event if callable(event.function) else replace(event, function=name_of(event.function)))
+    return found
 
 
 def watched_quantity(model: Kernel, name: str) -> tuple[Watched, int]:
@@ -143,16 +142,17 @@ def _quantities(model: Kernel) -> Iterator[tuple[Watched, Sequence[str]]]:
     yield Watched.MOMENTUM, [component for vector in QUANTITIES[Role.MOMENTA] for component in vector.components]
 
 
-def event_rows(model: Kernel, events: Sequence[Event]) -> list[tuple[Watched, Any, int, int, bool, bool]]:
-    """The events as `Run` and `Members` take them."""
+def event_row(event: Event, quantity: Watched, number: Any) -> EventRow:
+    """An event for C, where it watches one of the values of a quantity, or a callable."""
+    return EventRow(
+        quantity, number, int(np.sign(event.direction)), int(event.terminal), event.at_start, event.all_roots
+    )
+
+
+def event_rows(model: Kernel, events: Sequence[Event]) -> list[EventRow]:
+    """The events of a run for C."""
     return [
-        (
-            *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)),
-            int(np.sign(e.direction)),
-            int(e.terminal),
-            e.at_start,
-            e.all_roots,
-        )
+        event_row(e, *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)))
         for e in events
     ]
 

@@ -471,17 +471,11 @@ static int watch_events(fb_run *run, struct FB_EVENTS *events, double *scratch)
     if (n < 0 || (n > 0 && (events->event == NULL || events->work == NULL)) ||
         (events->room > 0 && events->found == NULL))
         return 0;
-    const size_t size = sizeof(fb_event) / sizeof(double);
-    double *const work = events->work;
-    watch->values = work;
-    watch->ends = work + (FB_MOST_DEGREE + 1) * n;
-    watch->polished = watch->ends + n;
-    watch->events = (fb_event *)(void *)(watch->polished + n);
-    watch->found = (fb_found *)(void *)(watch->polished + n + size * (size_t)n);
+    fb_place_events(watch, n, 0, events->work);
+    watch->n_events = n;
     watch->scratch = scratch;
     watch->call = call_event;
     watch->caller = events;
-    watch->n_events = n;
     for (int i = 0; i < n; ++i) {
         const struct FB_EVENT *const event = events->event + i;
         if (!has_quantity(event))

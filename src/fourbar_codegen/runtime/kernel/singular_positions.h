@@ -76,13 +76,8 @@ static inline double fb_least_pivot(const double t, const double *x, const doubl
         return NAN;
     if (look == FB_LOOK_FIRST)
         memset(h, 0, sizeof *h);
-    if (look != FB_LOOK_ASIDE) {
-        const double factor = fb_note_units(jacobian, &h->units);
-        (void)factor;
-#ifndef FB_SPARSE
-        h->largest /= factor;
-#endif
-    }
+    if (look != FB_LOOK_ASIDE)
+        h->largest /= fb_note_units(jacobian, &h->units);
     fb_in_units(jacobian, &h->units, jacobian);
     /* Those beyond the rank are rounding errors. */
     return fb_reduce_rows(N_C, N_U, 0, N_RANK, jacobian, bias, order, &least) < N_RANK ? 0.0 : least;

@@ -3,7 +3,6 @@
 #define FOURBAR_BATCH_H
 
 #include "../kernel/breakpoints.h"
-#include "../run/roots.h"
 #include "../run/run.h"
 #include "../steppers/tableaus.h"
 

@@ -6,14 +6,13 @@
 static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run *alone)
 {
     const fb_ensemble_events *const events = &e->events;
-    const size_t n = (size_t)events->n, of_event = (sizeof(fb_event) + sizeof(double) - 1) / sizeof(double);
-    const size_t of_found = (sizeof(fb_found) + sizeof(double) - 1) / sizeof(double);
+    const int n = events->n, n_scratch = fb_event_scratch(e->kernel);
     fb_watch *const watch = &alone->watch;
-    watch->n_events = events->n;
+    watch->n_events = n;
     if (n == 0)
         return 0;
     search->in_lanes = 1;
-    for (size_t i = 0; i < n; ++i) {
+    for (int i = 0; i < n; ++i) {
         const int quantity = events->events[i].quantity;
         search->needs_outputs |= quantity == FB_WATCHED_OUTPUT;
         search->needs_inputs |= quantity != FB_WATCHED_TIME && quantity != FB_WATCHED_STATE;
@@ -24,22 +23,18 @@ static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run 
             ;
     }
     const fb_place places[] = {
-        {&search->values, FB_WIDTH * (FB_LEAST_DEGREE + 1) * events->n},
-        {&watch->values, (FB_MOST_DEGREE + 1) * events->n},
-        {&watch->ends, events->n},
-        {&watch->polished, events->n},
-        {&watch->scratch, e->kernel->n_u + e->kernel->n_l + e->kernel->n_o + 12},
+        {&search->values, FB_WIDTH * (FB_LEAST_DEGREE + 1) * n},
         {&watch->along, FB_PADDED(N_X)},
     };
     const int n_places = sizeof places / sizeof *places;
-    const size_t placed = fb_place_all(places, n_places, NULL);
-    search->memory = calloc(placed + FB_WIDTH * n * of_event + FB_MOST_CROSSINGS * n * of_found, sizeof(double));
+    const size_t placed = fb_place_all(places, n_places, NULL), of_alone = fb_place_events(watch, n, n_scratch, NULL);
+    search->memory = calloc(placed + of_alone, sizeof(double));
+    search->events = calloc((size_t)(FB_WIDTH * n), sizeof *search->events);
     search->found = calloc(1, sizeof *search->found);
-    if (search->memory == NULL || search->found == NULL)
+    if (search->memory == NULL || search->events == NULL || search->found == NULL)
         return -1;
     fb_place_all(places, n_places, search->memory);
-    search->events = (fb_event *)(void *)(search->memory + placed);
-    watch->found = (fb_found *)(void *)(search->memory + placed + FB_WIDTH * n * of_event);
+    fb_place_events(watch, n, n_scratch, search->memory + placed);
     return 0;
 }
 
@@ -47,6 +42,7 @@ static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run 
 static void fb_end_search(const fb_lane_search *search, const fb_ensemble *e)
 {
     free(search->memory);
+    free(search->events);
     if (search->found) {
         search->found->next = __atomic_load_n(e->events.found, __ATOMIC_RELAXED);
         while (!__atomic_compare_exchange_n(e->events.found, &search->found->next, search->found, 0, __ATOMIC_RELEASE,
@@ -178,7 +174,7 @@ static int fb_find_events_in_lane(fb_lanes *c, const fb_ensemble *e, const int l
     while (watch->ended_by < 0 && e->events.find(r) > 0)
         for (int k = 0; k < watch->n_found; ++k) {
             const fb_found *const found = watch->found + k;
-            const double t = found->fraction == 1.0 ? b->t : b->t_old + found->fraction * b->h;
+            const double t = fb_time_of_fraction(b, found->fraction);
             fb_state_at(b, t, watch->along);
             fb_add_found(&c->search, c->member[lane], found->event, t, watch->along);
             *until = watch->ended_by >= 0 ? t : *until;

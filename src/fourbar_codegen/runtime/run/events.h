@@ -158,11 +158,6 @@ static inline double fb_fraction(const fb_part_of_step *part, const double y)
     return part->begin + 0.5 * (1.0 + y) * (part->end - part->begin);
 }
 
-static inline double fb_time_of_fraction(const fb_stepper *s, const double fraction)
-{
-    return fraction == 1.0 ? s->t : s->t_old + fraction * s->h;
-}
-
 /* The value of the part's event function where the constraints are satisfied; an fb_root_function. */
 static inline int fb_value_in_part(void *of, const double y, double *value)
 {

@@ -3,6 +3,7 @@
 #define FOURBAR_RUN_H
 
 #include "../steppers/stepper.h"
+#include "roots.h"
 
 /* Samples at given times, or after each step. */
 typedef struct fb_samples {
@@ -70,6 +71,28 @@ typedef struct fb_watch {
     int is_singular; /* whether the last step passes a singular position */
     fb_singular singular;
 } fb_watch;
+
+/* The length of the scratch that functions of events need. */
+static inline int fb_event_scratch(const fb_kernel *k)
+{
+    return k->n_u + k->n_l + k->n_o + 12;
+}
+
+/* Places the arrays of n events, besides `along`, in memory, unless that is NULL; returns its length in doubles. */
+static inline size_t fb_place_events(fb_watch *w, const int n, const int n_scratch, double *memory)
+{
+    const size_t of_events = (size_t)n * sizeof(fb_event) / sizeof(double);
+    const size_t of_found = FB_MOST_CROSSINGS * (size_t)n * sizeof(fb_found) / sizeof(double);
+    const fb_place places[] = {
+        {&w->values, (FB_MOST_DEGREE + 1) * n}, {&w->ends, n}, {&w->polished, n}, {&w->scratch, n_scratch}};
+    const size_t length = fb_place_all(places, sizeof places / sizeof *places, memory);
+    if (memory) {
+        w->n_events = n;
+        w->events = (fb_event *)(void *)(memory + length);
+        w->found = (fb_found *)(void *)(memory + length + of_events);
+    }
+    return length + of_events + of_found;
+}
 
 /* The sums of the lengths of steps and of their squares, and the first one at the last look. */
 typedef struct fb_step_lengths {

@@ -17,15 +17,24 @@ enum { FB_PARTS = 32, FB_TURNS = 5 };
 #define FB_JUMPED_RATIO 1e-3
 #define FB_JUMPED_ATOL 1e-9
 
-/* The least pivot at a time and state of a run, relative to its mean; infinite where J has no value. */
-static inline int fb_pivot_ratio(fb_run *r, const double since, const double *x, double *ratio)
+/* The least pivot at a time and state of a run. */
+static inline int fb_pivot_at(fb_run *r, const double since, const double *x, const enum FB_LOOK look, double *pivot)
 {
     fb_problem *const p = r->stepper.problem;
     const double t = fb_time(&p->clock, since);
     const int status = fb_fill_inputs(p, t, x);
+    if (status >= 0)
+        *pivot = p->kernel->least_pivot(t, x, p->constants, p->inputs, look, p->work);
+    return status;
+}
+
+/* The same relative to its mean; infinite where J has no value. */
+static inline int fb_pivot_ratio(fb_run *r, const double since, const double *x, double *ratio)
+{
+    double pivot;
+    const int status = fb_pivot_at(r, since, x, FB_LOOK_ASIDE, &pivot);
     if (status < 0)
         return status;
-    const double pivot = p->kernel->least_pivot(t, x, p->constants, p->inputs, FB_LOOK_ASIDE, p->work);
     const double typical = r->watch.singular.typical;
     *ratio = pivot != pivot ? INFINITY : typical > 0.0 ? pivot / typical : 0.0;
     return 0;
@@ -34,14 +43,12 @@ static inline int fb_pivot_ratio(fb_run *r, const double since, const double *x,
 /* Takes the least pivot at the state reached into its mean: after fewer and fewer steps. */
 static inline int fb_note_pivot(fb_run *r, const enum FB_LOOK look)
 {
-    fb_stepper *const s = &r->stepper;
-    fb_problem *const p = s->problem;
+    const fb_stepper *const s = &r->stepper;
     fb_singular *const singular = &r->watch.singular;
-    const double t = fb_time(&p->clock, s->t);
-    const int status = fb_fill_inputs(p, t, s->x);
+    double pivot;
+    const int status = fb_pivot_at(r, s->t, s->x, look, &pivot);
     if (status < 0)
         return status;
-    const double pivot = p->kernel->least_pivot(t, s->x, p->constants, p->inputs, look, p->work);
     if (look == FB_LOOK_FIRST) {
         singular->typical = pivot;
         singular->integral = 0.0;

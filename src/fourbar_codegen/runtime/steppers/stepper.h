@@ -265,6 +265,12 @@ static inline int fb_project_sample(fb_problem *p, const double t, double *x)
     return closed < 0 ? closed : 0;
 }
 
+/* The time at a fraction of the last step. */
+static inline double fb_time_of_fraction(const fb_stepper *s, const double fraction)
+{
+    return fraction == 1.0 ? s->t : s->t_old + fraction * s->h;
+}
+
 /* The state at a time in the last step; the present state if there was no step since the start or continuation. */
 static inline int fb_state_at(fb_stepper *s, const double t, double *x)
 {

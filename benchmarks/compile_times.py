@@ -32,9 +32,9 @@ from fourbar_codegen.progress import Progress
 
 STAGES = {
     "": "reading",
-    "forming the equations": "equations",
+    "forming the equations": "equations, jumps",
     "eliminating common subexpressions": "subexpressions",
-    "printing": "printing, jumps",
+    "printing": "printing",
     "compiling": "writing",
     "checking": "check",
 }

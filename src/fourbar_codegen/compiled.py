@@ -1216,6 +1216,7 @@ class CompiledModel(Kernel):
         t: float = 0.0,
         parameters: Values | None = None,
         inputs: Mapping[Any, InputSource] | None = None,
+        events: EventLike | Sequence[EventLike] | None = None,
         constraints: str = "project",
     ) -> Stepper:
         """A stepper with a fixed step size, for control loops and real time.
@@ -1233,13 +1234,18 @@ class CompiledModel(Kernel):
         inputs : mapping, optional
             As for `simulate`; ``step(r)`` holds those that it names for a step. A step in which a force jumps, or a
             table has a point, is made of several that end there.
+        events : Event, str, callable, or a list of these, optional
+            As for `simulate`: all roots of each step, at whose beginning inputs may jump. A step ends at a terminal
+            event, and the run with it.
         constraints : {"project", "none"}, optional
             As for `simulate`.
 
         Returns
         -------
         Stepper
-            With the method ``step(r)`` and the attributes ``t`` and ``x``; each thread needs its own.
+            With the method ``step(r)`` and the attributes ``t`` and ``x``; ``t_events`` and ``y_events`` are the times
+            and states of the events within the last step, and ``status`` is 1 once a terminal one has ended the run.
+            Each thread needs its own.
 
         Raises
         ------
@@ -1257,7 +1263,9 @@ class CompiledModel(Kernel):
         >>> round(stepper.t, 9), x.shape
         (0.1, (6,))
         """
-        return make_stepper(self, h, x0, t=t, parameters=parameters, inputs=inputs, constraints=constraints)
+        return make_stepper(
+            self, h, x0, t=t, parameters=parameters, inputs=inputs, events=events, constraints=constraints
+        )
 
 
 def _restore(*_: object) -> CompiledModel:

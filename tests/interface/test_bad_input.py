@@ -276,6 +276,7 @@ TABLE = {
         ({"x0": X}, "initial_state"),
         ({"r": {"G": 1.0}}, "'G'"),
         ({"r": [np.nan]}, "finite"),
+        ({"events": ["q9"]}, "'q9'", "kinetic_energy"),
     ],
     "ode.inputs_along": [({"times": [np.nan], "states": np.zeros((6, 1))}, "times", "finite")],
     "trajectory[]": [({"name": "q9"}, "'q9'", "q1, q2, q3")],

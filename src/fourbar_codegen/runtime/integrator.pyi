@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import Singular, StopReason
+from fourbar_codegen.roles import EventRow, Singular, StopReason
 from fourbar_codegen.runtime.functions import Functions, Values
 
 Floats = NDArray[np.float64]
@@ -172,6 +172,10 @@ class Stepper:
     def t(self) -> float: ...
     @property
     def x(self) -> Floats: ...
+    @property
+    def status(self) -> int: ...
+    t_events: list[Floats]
+    y_events: list[Floats]
     def __init__(
         self,
         ode: Ode,
@@ -182,6 +186,7 @@ class Stepper:
         n_steps: int = 0,
         jumps: Sequence[tuple[float, float, Sequence[int]]] = (),
         breakpoints: ArrayLike = ((), (), ()),
+        events: Sequence[EventRow] = (),
     ) -> None: ...
     def step(self, r: Values | None = None) -> Floats: ...
 

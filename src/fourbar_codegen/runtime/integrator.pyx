@@ -47,6 +47,7 @@ cdef extern from "steppers/stepper.h":
     size_t fb_place_stepper(fb_stepper *, const fb_method *, const fb_tableau *, int, double *) noexcept nogil
     int fb_evaluate(fb_stepper *, double, const double *, double *) noexcept nogil
     int fb_project_sample(fb_problem *, double, double *) noexcept nogil
+    double fb_time_of_fraction(const fb_stepper *, double) noexcept nogil
     int fb_state_at(fb_stepper *, double, double *) noexcept nogil
     int fb_prepare_interpolant(fb_stepper *) noexcept nogil
     void fb_interpolate(const fb_tableau *, const double *, int, int, const double *, double, double *) noexcept nogil
@@ -60,8 +61,8 @@ cdef extern from "kernel/breakpoints.h":
     fb_segment fb_segment_ahead(void *, double, double) noexcept nogil
 
 cdef extern from "steppers/runge_kutta.h":
-    int fb_fixed_step_across(fb_stepper *, double, double, fb_segment (void *, double, double) noexcept nogil,
-                             void *) noexcept nogil
+    double fb_enter_part(fb_stepper *, double, double, double, fb_segment (void *, double, double) noexcept nogil,
+                         void *, double *) noexcept nogil
     const fb_method fb_runge_kutta
     double fb_fixed_time(double, double, int64_t) noexcept nogil
     int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
@@ -99,6 +100,7 @@ cdef extern from "run/driver.h":
         double *polished
         double *scratch
         int n_found, ended_by
+        double searched
         fb_called_event *call
         void *caller
         int probes
@@ -127,6 +129,10 @@ cdef extern from "run/driver.h":
     int fb_event_scratch(const fb_kernel *) noexcept nogil
     size_t fb_place_events(fb_watch *, int, int, double *) noexcept nogil
     int fb_event_values(fb_run *, double, const double *, int, double *) noexcept nogil
+    int fb_find_events(fb_run *) noexcept nogil
+
+cdef extern from "run/watched_step.h":
+    int fb_watched_step(fb_run *, double, double) noexcept nogil
 
 cdef extern from "run/kept_steps.h":
     ctypedef struct fb_kept_steps:
@@ -650,6 +656,32 @@ cdef int set_event(fb_event *event, row, int place) except -1:
     return 0
 
 
+cdef cnp.ndarray _place_events(fb_watch *watch, Ode ode, events):
+    """Set the events of a run, and their memory, which is returned."""
+    cdef int i, n = len(events), n_scratch = fb_event_scratch(ode.evaluator.kernel)
+    cdef cnp.ndarray memory = np.zeros(fb_place_events(watch, n, n_scratch, NULL))
+    fb_place_events(watch, n, n_scratch, data(memory))
+    for i, event in enumerate(events):
+        set_event(watch.events + i, event, i)
+    return memory
+
+
+cdef int _value_of_event(Ode ode, const fb_watch *watch, function, double t, const double *x, double *value) noexcept:
+    """The value of an event's callable; negative if it fails."""
+    cdef cnp.ndarray state
+    try:
+        state = new_array(ode.evaluator.n_x)
+        memcpy(data(state), x, ode.evaluator.n_x * sizeof(double))
+        value[0] = number(function(t, state), "The value of an event's callable")
+        return 0
+    except BaseException as error:
+        if watch.probes and isinstance(error, Exception):
+            value[0] = NAN
+            return 0
+        ode.error = error
+        return -1
+
+
 cdef const double *_fill(double *to, values, int n) except NULL:
     """Tolerances for n states, from a number or n numbers."""
     cdef cnp.ndarray given
@@ -795,18 +827,7 @@ cdef int _foreign_interpolate(fb_stepper *stepper, double t, double *result) noe
 
 cdef int _call_event(void *caller, int place, double since, const double *x, double *value) noexcept with gil:
     cdef Run run = <Run>caller
-    cdef cnp.ndarray state
-    try:
-        state = new_array(run.run.stepper.n)
-        memcpy(data(state), x, run.run.stepper.n * sizeof(double))
-        value[0] = number(run.called_events[place](run._at(since), state), "The value of an event's callable")
-        return 0
-    except BaseException as error:
-        if run.run.watch.probes and isinstance(error, Exception):
-            value[0] = NAN
-            return 0
-        run.ode.error = error
-        return -1
+    return _value_of_event(run.ode, &run.run.watch, run.events[place].number, run._at(since), x, value)
 
 
 cdef fb_method _foreign_method
@@ -850,7 +871,7 @@ cdef class Run:
     cdef readonly Ode ode
     cdef object method
     cdef readonly object foreign
-    cdef list called_events
+    cdef object events
     cdef list kept
     cdef double origin, t_begin, t_bound
     cdef double since_begin
@@ -900,27 +921,17 @@ cdef class Run:
         if times is not None:
             run.samples.times = <const double *>self._keep(np.array(times, dtype=np.float64) - t)
             run.samples.n_times = np.size(times)
-        watch.n_events, watch.look_at_all = len(events), look_at_all
+        watch.look_at_all = look_at_all
         if events:
-            self._watch(events)
+            self.events = events
+            self.kept.append(_place_events(watch, ode, events))
+            watch.call, watch.caller = _call_event, <void *>self
         if method == "ALI3P":
             ode.evaluator.function(FB_STATE_PARTIALS)
             stepper.own = &self.augmented
             matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
             fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
         self._make_room(run.samples.n_times if times is not None else 256)
-
-    cdef int _watch(self, events) except -1:
-        cdef fb_watch *watch = &self.run.watch
-        cdef const fb_kernel *kernel = self.ode.evaluator.kernel
-        cdef int n = watch.n_events, i
-        cdef int n_scratch = fb_event_scratch(kernel)
-        self.called_events = [event.number if callable(event.number) else None for event in events]
-        fb_place_events(watch, n, n_scratch, <double *>self._keep(np.zeros(fb_place_events(watch, n, n_scratch, NULL))))
-        watch.call, watch.caller = _call_event, <void *>self
-        for i, event in enumerate(events):
-            set_event(watch.events + i, event, i)
-        return 0
 
     @property
     def found(self):
@@ -1354,48 +1365,69 @@ cdef class Stepper:
     Attributes
     ----------
     t : float
-        Time, s: the initial time plus the number of steps times their length.
+        Time, s: the initial time plus the number of steps times their length; that of an event which ended the run.
     x : ndarray, shape (n_x,)
         The state: coordinates, then speeds.
+    status : int
+        1 once a terminal event has ended the run, otherwise 0, as for ``solve_ivp``.
+    t_events : list of ndarray, shape (n_found,)
+        For each event its times within the last step.
+    y_events : list of ndarray, shape (n_found, n_x)
+        The states there, by the cubic Hermite polynomial through both ends of the step, projected onto the
+        constraints.
 
-    Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, section II.1.
+    Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, sections II.1 and II.6.
     """
 
     cdef Ode ode
-    cdef fb_stepper stepper
+    cdef fb_run run
+    cdef object events
+    cdef readonly list t_events
+    cdef readonly list y_events
     cdef fb_source *sources
     cdef double h, t_begin
     cdef tuple jumps
     cdef cnp.ndarray breakpoints
     cdef fb_breaks breaks
     cdef int n_passed
-    cdef cnp.ndarray kept
+    cdef list kept
     cdef bint busy
 
     # The rows of breakpoints are the times, the last ones before them, and the first ones after them.
 
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project, int64_t n_steps=0, jumps=(),
-                  breakpoints=((), (), ())):
+                  breakpoints=((), (), ()), events=()):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
-        cdef fb_stepper *stepper = &self.stepper
-        cdef double *rest
-        self.ode, self.h, self.jumps, self.t_begin = ode, h, tuple(jumps), t
+        cdef fb_stepper *stepper = &self.run.stepper
+        cdef fb_watch *watch = &self.run.watch
+        self.ode, self.h, self.jumps, self.t_begin, self.events = ode, h, tuple(jumps), t, tuple(events)
         self.breakpoints = np.array(breakpoints, dtype=np.float64, order="C")
         self.breaks.n, self.breaks.times = self.breakpoints.shape[1], data(self.breakpoints)
         self.breaks.before = self.breaks.times + self.breaks.n
         self.breaks.after = self.breaks.before + self.breaks.n
         self.breaks.first, self.breaks.last = -np.copysign(INFINITY, h), np.copysign(INFINITY, h)
-        self.kept = _place(stepper, ode, &fb_runge_kutta, &fb_rk4, 0, &rest)
+        self.kept = [_place(stepper, ode, &fb_runge_kutta, &fb_rk4, 4 * FB_PADDED(n), &watch.along)]
         stepper.project, stepper.n_steps, stepper.t = project, n_steps, fb_fixed_time(t, h, n_steps)
         memcpy(stepper.x, data(state), n * sizeof(double))
+        self.run.direction, self.run.t_end, watch.ended_by = np.copysign(1.0, h), self.breaks.last, -1
+        if events:
+            self.kept.append(_place_events(watch, ode, events))
+            watch.call, watch.caller = _call_event_of_stepper, <void *>self
+        self._list_events(())
         self.sources = <fb_source *>PyMem_Calloc(2 * ode.evaluator.n_r + 1, sizeof(fb_source))
         if not self.sources:
             raise MemoryError
 
     def __reduce__(self):
-        run = (self.t_begin, self.x, bool(self.stepper.project), self.stepper.n_steps, self.jumps, self.breakpoints)
-        return Stepper, (self.ode, self.h, *run)
+        cdef fb_stepper *stepper = &self.run.stepper
+        run = (self.t_begin, self.x, bool(stepper.project), stepper.n_steps, self.jumps, self.breakpoints, self.events)
+        state = (stepper.t, self._stored_events(), self.run.watch.ended_by, self.t_events, self.y_events)
+        return Stepper, (self.ode, self.h, *run), state
+
+    def __setstate__(self, state):
+        self.run.stepper.t, events, self.run.watch.ended_by, self.t_events, self.y_events = state
+        self._restore_events(events)
 
     def __dealloc__(self):
         PyMem_Free(self.sources)
@@ -1422,18 +1454,23 @@ cdef class Stepper:
         SimulationError
             If the equations cannot be evaluated, or no state nearby satisfies the constraints; if speeds jump within
             the step, with the rate of a prescribed motion; or if a step is under way already, in another thread, or
-            because a callable input requests one. The state does not change then.
+            because a callable input requests one; or if an event has ended the run. The state does not change then.
         """
         cdef Evaluator evaluator = self.ode.evaluator
         cdef fb_problem *problem = &self.ode.problem
         cdef fb_problem own = problem[0]
         cdef list callables = self.ode.callables, held = None
         cdef cnp.ndarray values = None  # of all inputs
+        cdef fb_stepper *stepper = &self.run.stepper
         cdef int status
+        if self.run.watch.ended_by >= 0:
+            raise SimulationError(
+                f"Event {self.run.watch.ended_by} of this stepper, counted from 0, has ended the run at "
+                f"t = {stepper.t:.9g}: a new stepper goes on from its time and state, t and x.")
         if r is not None:
             held = None if type(r) is np.ndarray else evaluator.held_inputs(r)
             if held is None:
-                values = evaluator._inputs(self.stepper.t, self.ode.parameters, r, True)
+                values = evaluator._inputs(stepper.t, self.ode.parameters, r, True)
         if self.jumps:
             self._check_jumps({place for place, _ in held or ()} if values is None else set(range(evaluator.n_r)))
         _enter(&self.busy)
@@ -1442,7 +1479,10 @@ cdef class Stepper:
         elif held:
             self._hold(held)
         problem.status = FB_OK
-        status = self._pass_breaks() if self.breaks.n else fb_fixed_step(&self.stepper, self.h, self._time_after(1))
+        if self.breaks.n or self.events:
+            status = self._step_in_parts()
+        else:
+            status = fb_fixed_step(stepper, self.h, self._time_after(1))
         if held:  # the tables' intervals
             memcpy(own.sources, self.sources, own.n_sources * sizeof(fb_source))
         problem.sources, problem.n_sources, problem.called_inputs = own.sources, own.n_sources, own.called_inputs
@@ -1450,8 +1490,8 @@ cdef class Stepper:
         self.busy = False
         self.ode.check(status)
         if status != FB_OK:
-            raise SimulationError(self.ode.failure or evaluator.failure(status, self.stepper.t, self.x))
-        return _state_of(&self.stepper)
+            raise SimulationError(self.ode.failure or evaluator.failure(status, stepper.t, self.x))
+        return _state_of(stepper)
 
     cdef int _hold_all(self, cnp.ndarray values) except -1:
         cdef fb_problem *problem = &self.ode.problem
@@ -1478,26 +1518,78 @@ cdef class Stepper:
         problem.sources = self.sources
         return 0
 
-    cdef int _pass_breaks(self) noexcept:
-        """A step across breakpoints, each part with the inputs on its own side of these; the kernel's status."""
-        cdef fb_stepper *stepper = &self.stepper
+    cdef int _step_in_parts(self) noexcept:
+        """A step in parts that end at breakpoints, each with the inputs on its own side of these, up to an event that
+        ends the run; the kernel's status."""
+        cdef fb_run *run = &self.run
+        cdef fb_stepper *stepper = &run.stepper
         cdef cnp.ndarray start = _state_of(stepper)
-        cdef double t_old = stepper.t
+        cdef bytes events = self._stored_events()
+        cdef double t_old = stepper.t, t_new = self._time_after(1), t_bound = stepper.t, h
         cdef int64_t n_steps = stepper.n_steps
         cdef fb_passed passed = fb_passed(breaks=&self.breaks, n=self.n_passed)
-        cdef int status = fb_fixed_step_across(stepper, self.h, self._time_after(1), fb_segment_ahead, &passed)
+        cdef list found = []
+        cdef int status = FB_OK
+        while status == FB_OK and stepper.t != t_new and run.watch.ended_by < 0:
+            h = fb_enter_part(stepper, self.h, t_old, t_new, fb_segment_ahead, &passed, &t_bound)
+            if not self.events:
+                status = fb_fixed_step(stepper, h, t_bound)
+            else:
+                status = fb_watched_step(run, h, t_bound)
+                if status == FB_OK:
+                    status = self._find_events(found)
         stepper.problem.clock.first, stepper.problem.clock.last = -INFINITY, INFINITY
         if status == FB_OK:
             self.n_passed = passed.n
+            self._list_events(found)
         else:  # as it was
             memcpy(stepper.x, data(start), stepper.n * sizeof(double))
-            stepper.t = t_old
+            stepper.t, run.watch.ended_by = t_old, -1
+            self._restore_events(events)
         stepper.n_steps = n_steps + (status == FB_OK)
         return status
 
+    cdef int _find_events(self, list found) noexcept:
+        """Find the events of the last part of a step: number, time and state of each. The step ends at one that ends
+        the run."""
+        cdef fb_stepper *stepper = &self.run.stepper
+        cdef fb_watch *watch = &self.run.watch
+        cdef cnp.ndarray x
+        cdef double t
+        cdef int i, n, status
+        while watch.searched < 1.0:
+            n = status = fb_find_events(&self.run)
+            for i in range(n):
+                x, t = new_array(stepper.n), fb_time_of_fraction(stepper, watch.found[i].fraction)
+                status = fb_state_at(stepper, t, data(x))
+                if status < 0:
+                    break
+                found.append((watch.found[i].event, t, x))
+            if status < 0:
+                return status
+        if watch.ended_by >= 0:
+            memcpy(stepper.x, data(x), stepper.n * sizeof(double))
+            stepper.t = t
+        return FB_OK
+
+    cdef _list_events(self, found):
+        """Set the times and states of the events found in a step."""
+        cdef int i, n_x = self.run.stepper.n
+        self.t_events, self.y_events = [], []
+        for i in range(len(self.events)):
+            self.t_events.append(np.array([t for k, t, _ in found if k == i]))
+            self.y_events.append(np.array([x for k, _, x in found if k == i]).reshape(-1, n_x))
+
+    cdef bytes _stored_events(self):
+        """What is known of the events, to be restored."""
+        return (<char *>self.run.watch.events)[:self.run.watch.n_events * sizeof(fb_event)]
+
+    cdef _restore_events(self, bytes events):
+        memcpy(self.run.watch.events, <char *>events, len(events))
+
     cdef double _time_after(self, int64_t steps) noexcept:
         """The time after so many more steps."""
-        return fb_fixed_time(self.t_begin, self.h, self.stepper.n_steps + steps)
+        return fb_fixed_time(self.t_begin, self.h, self.run.stepper.n_steps + steps)
 
     def _check_jumps(self, held):
         """Raise if speeds jump within the next step by something else than inputs that are held, a set of places."""
@@ -1505,19 +1597,28 @@ cdef class Stepper:
         for end, begin, inputs in self.jumps:
             if inputs and held.issuperset(inputs):
                 continue
-            if min(self.stepper.t, next_time) < max(end, begin) and max(self.stepper.t, next_time) > min(end, begin):
+            if min(self.t, next_time) < max(end, begin) and max(self.t, next_time) > min(end, begin):
                 raise SimulationError(
                     f"The rate of a prescribed motion jumps at t = {begin:.9g}, and speeds with it, within the step "
-                    f"from {self.stepper.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new "
+                    f"from {self.t:.9g} to {next_time:.9g}: CompiledModel.simulate passes it, from where a new "
                     "stepper goes on.")
 
     @property
     def t(self):
-        return self.stepper.t
+        return self.run.stepper.t
 
     @property
     def x(self):
-        return _state_of(&self.stepper)
+        return _state_of(&self.run.stepper)
+
+    @property
+    def status(self):
+        return 1 if self.run.watch.ended_by >= 0 else 0
+
+
+cdef int _call_event_of_stepper(void *caller, int place, double t, const double *x, double *value) noexcept with gil:
+    cdef Stepper stepper = <Stepper>caller
+    return _value_of_event(stepper.ode, &stepper.run.watch, stepper.events[place].number, t, x, value)
 
 
 @cython.final

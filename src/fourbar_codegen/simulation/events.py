@@ -27,7 +27,7 @@ TOUCHED = (
     "which is no event."
 )
 
-__all__ = ["Event", "EventLike", "Watch", "event_row", "events_of", "touched", "watched_quantity"]
+__all__ = ["Event", "EventLike", "Watch", "event_row", "event_rows", "events_of", "touched", "watched_quantity"]
 
 Floats = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,7 @@ from fourbar_codegen.progress import QUIET_SECONDS, Progress
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.integrator import Stepper
 from fourbar_codegen.simulation.discontinuities import boundaries, jumping_inputs
+from fourbar_codegen.simulation.events import EventLike, event_rows, events_of
 from fourbar_codegen.simulation.integrate import integrate
 from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 
@@ -139,12 +140,14 @@ def make_stepper(
     t: float,
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
+    events: EventLike | Sequence[EventLike] | None,
     constraints: str,
 ) -> Stepper:
     """A stepper with a fixed step size; see `CompiledModel.stepper`."""
     h, t = finite_number(h, "h"), finite_number(t, "t")
     if h == 0.0:
         raise ModelError("The step h must not be 0.")
+    watched = event_rows(model, events_of(model, events) or ())
     closes = projects(model, constraints)
     p = model.parameter_vector(parameters)
     if x0 is None:
@@ -157,4 +160,4 @@ def make_stepper(
     jumps, kinks = boundaries(ode, t, math.copysign(math.inf, h), start)
     jumping = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in jumps]
     breakpoints = np.array([(at.end, at.last, at.first) for at in kinks]).reshape(-1, 3).T
-    return Stepper(ode, h, t, start, closes, jumps=jumping, breakpoints=breakpoints)
+    return Stepper(ode, h, t, start, closes, jumps=jumping, breakpoints=breakpoints, events=watched)

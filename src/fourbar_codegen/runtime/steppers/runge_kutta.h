@@ -107,6 +107,17 @@ static inline int fb_fixed_step(fb_stepper *s, const double h, const double t_ne
     return FB_OK;
 }
 
+/* Enters the part of a step of length h from t_old to t_new that ends at the next breakpoint, or with the step; returns
+ * its length. */
+static inline double fb_enter_part(fb_stepper *s, const double h, const double t_old, const double t_new,
+                                   fb_next_segment *next, void *of, double *t_bound)
+{
+    const fb_segment segment = next(of, s->t, t_new);
+    fb_enter_clock(&s->problem->clock, &segment);
+    *t_bound = segment.t_bound;
+    return s->t == t_old && segment.t_bound == t_new ? h : segment.t_bound - s->t;
+}
+
 /* The same across breakpoints, which divide the step. */
 static inline int fb_fixed_step_across(fb_stepper *s, const double h, const double t_new, fb_next_segment *next,
                                        void *of)
@@ -114,10 +125,9 @@ static inline int fb_fixed_step_across(fb_stepper *s, const double h, const doub
     const double t_old = s->t;
     int status = FB_OK;
     while (status == FB_OK && s->t != t_new) {
-        const fb_segment segment = next(of, s->t, t_new);
-        const int is_whole = s->t == t_old && segment.t_bound == t_new;
-        fb_enter_clock(&s->problem->clock, &segment);
-        status = fb_fixed_step(s, is_whole ? h : segment.t_bound - s->t, segment.t_bound);
+        double t_bound;
+        const double length = fb_enter_part(s, h, t_old, t_new, next, of, &t_bound);
+        status = fb_fixed_step(s, length, t_bound);
     }
     return status;
 }

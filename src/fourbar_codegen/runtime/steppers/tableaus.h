@@ -220,7 +220,7 @@ static const fb_tableau *const fb_tableaus[FB_N_METHODS] = {
     [FB_METHOD_DOP853] = &fb_dop853, [FB_METHOD_RK45] = &fb_rk45, [FB_METHOD_TSIT5] = &fb_tsit5};
 
 static const fb_tableau fb_rk4 = {
-    .n_stages = FB_AT_MOST(4, FB_MAX_STAGES - 1), .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c};
+    .n_stages = FB_AT_MOST(4, FB_MAX_STAGES - 1), .a = fb_rk4_a, .b = fb_rk4_b, .c = fb_rk4_c, .hermite = 1};
 
 /* No coefficients: steppers/ali3p.h takes the steps. The interpolant is the cubic one. */
 static const double fb_trapezoid_0[1] = {0.0};

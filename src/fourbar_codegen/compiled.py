@@ -784,6 +784,7 @@ class CompiledModel(Kernel):
         ranges: Mapping[Any, tuple[float, float]] | None = None,
         traces: Sequence[str] | None = None,
         watch: Sequence[tuple[str, str]] | None = None,
+        events: EventLike | Sequence[EventLike] | None = None,
         height: int = 900,
         method: str = "DOP853",
     ) -> Page:
@@ -811,6 +812,9 @@ class CompiledModel(Kernel):
         watch : sequence of (str, str), optional
             Figures of the shown frames, with their change: pairs of a statistic ("greatest", "least", "greatest
             magnitude", "range", "mean", "last") and the name of a quantity, such as ``("range", "q1")``.
+        events : str, Event, or a list of these, optional
+            Names of quantities, as for `simulate`: plots have marks where they change their sign, a table has the
+            times, and a terminal one ends the run.
         height : int, optional
             Height in a notebook, pixels.
         method : str, optional
@@ -838,12 +842,15 @@ class CompiledModel(Kernel):
         <Live page of four_bar, 900 pixels high>
         """
         from fourbar_codegen.presentation.live_page import TOLERANCE, check_inputs, live_page
+        from fourbar_codegen.simulation.events import named_events
 
         check_inputs(self, inputs)
         one_of(method, METHODS, "method for pages")
+        watched = named_events(self, events, "a page")
         run = self.simulate(
-            t_span, x0, method=method, parameters=parameters, inputs=inputs, rtol=TOLERANCE, atol=TOLERANCE
-        )
+            t_span, x0, method=method, parameters=parameters, inputs=inputs, events=events, rtol=TOLERANCE,
+            atol=TOLERANCE,
+        )  # fmt: skip
         return live_page(
             run,
             self._page_module,
@@ -851,6 +858,7 @@ class CompiledModel(Kernel):
             ranges={} if ranges is None else ranges,
             traces=traces,
             watch=watch,
+            events=watched,
             height=height,
         )
 

@@ -303,6 +303,8 @@ TABLE = {
         ({"inputs": {"F": ([0, 1], [0, 1], "pchip")}}, "a table that is interpolated cannot be put into a file"),
         ({"inputs": {"G": 1.0}}, "There is no input 'G'"),
         ({"traces": ["P9"]}, "There is no point P9"),
+        ({"events": ["q9"]}, "'q9'", "kinetic_energy"),
+        ({"events": lambda t, x: x[0]}, "An event of a page is the name of a quantity", "output of the model"),
         ({"watch": [("most", "q1")]}, "watch= is a list of pairs"),
         ({"watch": ["q1"]}, "watch= is a list of pairs"),
         ({"ranges": ["l2"]}, "ranges= is a mapping"),

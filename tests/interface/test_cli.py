@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -216,11 +217,15 @@ def test_export_command_writes_a_c_library_or_fmu_and_checks_its_options(tmp_pat
     result = run("export", "four_bar", "--to", "c", "-o", tmp_path / "c")
     assert result.stdout == f"Written: {tmp_path / 'c' / 'README.md'} says how to build it\n"
     assert (tmp_path / "c" / "four_bar.h").exists()
-    result = run("export", "four_bar", "--to", "fmu", "--fmi", "2", "-o", tmp_path / "a.fmu")
+    result = run("export", "four_bar", "--to", "fmu", "--fmi", "2", "--event", "u1", "-o", tmp_path / "a.fmu")
     assert result.stdout == f"Written: {tmp_path / 'a.fmu'}\n"
+    with zipfile.ZipFile(tmp_path / "a.fmu") as archive:
+        assert b'numberOfEventIndicators="1"' in archive.read("modelDescription.xml")
     result = run("export", "four_bar", "--to", "c", "--fmi", "2", "-o", tmp_path / "c")
     assert result.exit_code == 2
     assert "--fmi belongs to --to fmu" in result.output
+    result = run("export", "four_bar", "--to", "c", "--event", "u1", "-o", tmp_path / "c")
+    assert "--event belongs to --to fmu" in result.output
 
 
 @pytest.mark.slow

@@ -162,6 +162,64 @@ def test_page_runs_by_the_method_asked_for(opened, four_bar):
         simulated(page, method="Euler")
 
 
+def test_page_marks_events_where_simulate_finds_them(opened, four_bar):
+    events = ["u1", fb.Event("u3", direction=1), "lambda1", "kinetic_energy", "t"]
+    page = opened(four_bar.page(events=events, t_span=(0.0, 2.0)))
+    move(page, "l2 (m)", 0.45)
+    expected = four_bar.simulate((0.0, 2.0), events=events, parameters={"l2": 0.45}, rtol=1e-11, atol=1e-11)
+    assert [len(times) for times in expected.t_events] == [2, 1, 3, 0, 0]
+    found = simulated(page, parameters={"l2": 0.45})
+    assert (found["status"], found["success"]) == (0, True)
+    marks = page.evaluate("shownRun.events.map(({event, t}) => [event, t])")
+    assert [t for _, t in marks] == sorted(t for _, t in marks)
+    for number, (times, states) in enumerate(zip(expected.t_events, expected.y_events, strict=True)):
+        # a tolerance of 1e-11, over the least slope, 1 / s^2
+        np.testing.assert_allclose(found["t_events"][number], times, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose([t for event, t in marks if event == number], times, rtol=0.0, atol=1e-9)
+        np.testing.assert_allclose(np.reshape(found["y_events"][number], (-1, 6)), states, rtol=0.0, atol=1e-8)
+    cells = [page.locator("#events tr").nth(row).locator("td") for row in range(5)]
+    assert [row.nth(0).inner_text() for row in cells] == ["2", "1", "3", "0", "0"]
+    assert cells[0].nth(1).inner_text() == ", ".join(f"{t:.6g}" for t in expected.t_events[0])
+    # in each open plot all marks; those of u1 and u3 are dots on their curves
+    speeds = page.locator("details", has=page.get_by_text("Speeds (rad/s or m/s)"))
+    if not speeds.get_attribute("open"):
+        speeds.locator("summary").click()
+    until(
+        page, "document.querySelectorAll('.event').length > 0 && document.querySelectorAll('.event circle').length > 0"
+    )
+    assert speeds.locator(".event").count() == 6
+    assert speeds.locator(".event circle").count() == 3
+
+
+def test_page_ends_its_run_at_a_terminal_event(opened, four_bar):
+    """The state there is the last frame, and Python makes the same run from the page's lines."""
+    page = opened(four_bar.page(events=[fb.Event("u1", terminal=3, direction=0), fb.Event("q2", all_roots=False)]))
+    expected = four_bar.simulate((0.0, 4.0), events=fb.Event("u1", terminal=3), rtol=1e-11, atol=1e-11)
+    assert "u1 ends the run at t = 2.284 s." in page.inner_text("#status")
+    t, y = shown(page)
+    assert t[-1] == pytest.approx(expected.t[-1], abs=1e-9)
+    np.testing.assert_allclose(y[:, -1], expected.y[:, -1], rtol=0, atol=1e-8)
+    found = simulated(page, times=[0.0, 1.0, 3.0])
+    assert (found["status"], found["success"], found["message"]) == (1, True, "u1 ends the run")
+    np.testing.assert_allclose(found["t"], [0.0, 1.0, t[-1]], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found["y"][:, -1], y[:, -1], rtol=0, atol=1e-12)
+    place = {"fb": fb}
+    exec(page.evaluate("pythonLines()"), place)
+    assert place["run"].status == 1
+    assert place["run"].t[-1] == pytest.approx(t[-1], abs=1e-12)
+
+
+def test_page_with_more_events_than_it_keeps_says_so(opened, four_bar):
+    """A motor's torque that changes its sign 2,000 times within 1 s."""
+    page = opened(four_bar.page(events="F", t_span=(0.0, 1.0)))
+    wave = {"kind": "sine", "mean": 0, "amplitude": 1, "frequency": 1000.25, "phase": 0}
+    found = simulated(page, inputs={"F": wave})
+    np.testing.assert_allclose(found["t_events"][0], np.arange(1, 1001) / 2000.5, rtol=0.0, atol=1e-12)
+    page.evaluate("settings.inputs.F = {kind: 'sine', values: [0, 1, 1000.25, 0]}; update()")
+    until(page, "!busy")
+    assert "Of 2000 events, the first 1000 are shown." in page.inner_text("#status")
+
+
 def test_page_with_a_held_table_keeps_it_in_runs_scripts_and_links(opened, four_bar):
     """A table that is held: in the run, in scripts, in lines of Python, in a link; and what takes its place."""
     times = 0.01 * np.arange(150)
@@ -779,12 +837,14 @@ def test_page_compiled_by_clang_gives_the_states_of_ziglangs(opened, four_bar, m
 
 def test_page_command_writes_a_page_with_its_settings(opened, tmp_path):
     path = tmp_path / "four_bar.html"
-    how = ["page", "four_bar", "-p", "l2=0.45", "-i", "q1=-0.4", "-r", "F=7", "-t", "0", "2", "-o", str(path)]
+    how = ["page", "four_bar", "-p", "l2=0.45", "-i", "q1=-0.4", "-r", "F=7", "-t", "0", "2", "--event", "u1",
+           "-o", str(path)]  # fmt: skip
     result = CliRunner().invoke(main, how)
     assert result.exit_code == 0, result.output
     assert f"Written: {path}" in result.output
     data = data_of(type("Made", (), {"text": path.read_text()}))
     assert data["t_span"] == [0.0, 2.0]
+    assert [event["name"] for event in data["events"]] == ["u1"]
     assert data["inputs"][0]["signal"] == {"kind": "constant", "values": [7.0]}
     assert next(p["value"] for p in data["parameters"] if p["name"] == "l2") == 0.45
     assert data["modes"][0][0] == -0.4

@@ -315,6 +315,8 @@ def report(output: Path, **run: Any) -> None:
     )
 )
 @with_options(PAGE_OPTIONS)
+@click.option("--event", "events", multiple=True, metavar="NAME",
+              help="A quantity, such as a state or output, whose changes of sign are marked; repeatable.")  # fmt: skip
 @_output("page.html", "The file, .html.")
 def page(
     output: Path,
@@ -325,10 +327,11 @@ def page(
     inputs: dict[str, str],
     t_span: tuple[float, float],
     method: str,
+    events: tuple[str, ...],
 ) -> None:
     compiled, values, sources = _model_and_inputs(model, initial, inputs, parameters, t_span)
     x0 = initial_state(compiled, values, t_span[0], parameters, sources)
-    compiled.page(output, t_span=t_span, x0=x0, parameters=parameters, inputs=sources, method=method)
+    compiled.page(output, t_span=t_span, x0=x0, parameters=parameters, inputs=sources, method=method, events=events)
     click.echo(f"Written: {output}")
 
 
@@ -476,15 +479,20 @@ def build(model: str, output: Path, wheel: bool, version: str) -> None:
     multiple=True,
     help="A vector that an FMU has as outputs: momentum, angular_momentum, spin. Repeatable.",
 )
-def export(
-    model: str, form: str, output: Path, fmi: str | None, platform: tuple[str, ...], quantity: tuple[str, ...]
-) -> None:
+@click.option(
+    "--event", multiple=True, help="A state, output or energy whose changes of sign an FMU tells. Repeatable."
+)
+def export(model: str, form: str, output: Path, **of_fmu: Any) -> None:
     if form == "fmu":
-        path = fb.export_fmu(source_model(model), output, fmi=int(fmi or 3), platforms=platform, quantities=quantity)
+        fmi, platform, quantity, event = (of_fmu[name] for name in ("fmi", "platform", "quantity", "event"))
+        path = fb.export_fmu(
+            source_model(model), output, fmi=int(fmi or 3), platforms=platform, quantities=quantity, events=event
+        )
         click.echo(f"Written: {path}")
         return
-    if fmi or platform or quantity:
-        raise click.UsageError(f"{'--fmi' if fmi else '--platform' if platform else '--quantity'} belongs to --to fmu.")
+    given = [name for name, value in of_fmu.items() if value]
+    if given:
+        raise click.UsageError(f"--{given[0]} belongs to --to fmu.")
     folder = fb.export_c(source_model(model), output)
     click.echo(f"Written: {folder / 'README.md'} says how to build it")
 

@@ -239,13 +239,14 @@ const timePlot = (section, {title, log, names}, seek) => {
     entry.append(`${name} `);
     return make("output", {}, entry);
   });
-  let times = [], curves = [], ghosts = null, across = () => LEFT, cursor = null;
+  let times = [], curves = [], ghosts = null, marks = [], across = () => LEFT, cursor = null;
   const plot = {
-    // Times, values of each curve, and of the run before.
-    set(at, values, before = null) {
+    // Times, values of each curve, and of the run before; events, and the curves that are zero there, or -1.
+    set(at, values, before = null, events = []) {
       times = at;
       curves = values;
       ghosts = before;
+      marks = events;
     },
     draw() {
       const width = Math.max(240, svg.getBoundingClientRect().width), n = times.length;
@@ -285,6 +286,12 @@ const timePlot = (section, {title, log, names}, seek) => {
       if (ghosts) ghosts.curves.forEach((values, c) =>
         line(ghosts.times, values, {class: "curve ghost", style: `stroke: var(--curve${c % COLORS})`}));
       curves.forEach((values, c) => line(times, values, {class: "curve", style: `stroke: var(--curve${c % COLORS})`}));
+      for (const {t, text, curve} of marks) {
+        const mark = make("g", {class: "event"}, svg), x = across(t).toFixed(1);
+        make("line", {x1: x, x2: x, y1: TOP, y2: TALL - BOTTOM}, mark);
+        if (curve >= 0) make("circle", {cx: x, cy: up(0), r: 4, style: `stroke: var(--curve${curve % COLORS})`}, mark);
+        make("title", {}, mark, text);
+      }
       cursor = make("line", {class: "cursor", y1: TOP, y2: TALL - BOTTOM}, svg);
     },
     // The cursor at a time of the run.

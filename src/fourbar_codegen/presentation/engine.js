@@ -1,12 +1,12 @@
 // Runs of a model that is compiled to WebAssembly, in a worker where there is one; export/page.h has its functions.
 
-// Takes requests {p, x, dependent, angle, signals, tables, begin, end, method, rtol, atol, times, from}: parameters, an initial
-// state of which some values are dependent, and guesses, and some are angles, and six numbers for each input, with the
-// times and values of those that are held; `from` is a closed state {p, x, dependent, angle, signals, tables, begin}
-// with other values.
+// Takes requests {p, x, dependent, angle, signals, tables, begin, end, method, rtol, atol, times, events, from}: parameters,
+// an initial state of which some values are dependent, and guesses, and some are angles, and six numbers for each input,
+// with the times and values of those that are held; six numbers for each event; `from` is a closed state {p, x, dependent,
+// angle, signals, tables, begin} with other values.
 // This function becomes the text of the worker, so it uses nothing from outside.
 const makeEngine = async bytes => {
-  const OK = 0, CONSTANT = 1, DEPTH = 8, NEAR = 1e-6, SHORT = 0.5; // SHORT in rad
+  const OK = 0, CONSTANT = 1, DEPTH = 8, NEAR = 1e-6, SHORT = 0.5, ROOM = 1000; // SHORT in rad; ROOM for events
   const {instance: {exports: {_initialize: initialize, __heap_base: heap, ...wasm}}} =
     await WebAssembly.instantiate(bytes, {});
   initialize();
@@ -69,24 +69,40 @@ const makeEngine = async bytes => {
     const closed = close(to, from.x), again = close(to, near(closed.x));
     return {...again.status === OK ? again : closed, lost: true};
   };
-  const run = ({from, begin, end, method, rtol, atol, times, ...point}) => {
+  const run = ({from, begin, end, method, rtol, atol, times, events, ...point}) => {
     const began = performance.now(), n = times.length, width = point.x.length;
     const to = {...point, begin};
     const start = {...from, ...close(from, from.x)}, followed = follow(start, to);
     const closed = followed.status === OK && !followed.lost ? followed : nearest(start, to);
     const result = {status: closed.status, closed: closed.status === OK, lost: Boolean(closed.lost), x0: closed.x,
-      reached: begin, n: 0, length: 0, rows: new Float64Array(0), evaluations: 0};
+      reached: begin, n: 0, length: 0, times: new Float64Array(0), rows: new Float64Array(0), evaluations: 0,
+      events: [], n_events: 0, ended_by: -1};
     if (result.closed) {
       set({...point, x: closed.x});
       result.length = wasm.row_length();
-      reserve(point.tables.length + n * (1 + width + result.length));
-      const at = base + 8 * point.tables.length, states = at + 8 * n, rows = states + 8 * n * width;
+      const of_events = wasm.place_events(0, events.length, ROOM), most = n + 1;
+      reserve(point.tables.length + of_events + most * (1 + width + result.length));
+      const watched = base + 8 * point.tables.length, at = watched + 8 * of_events;
+      const states = at + 8 * most, rows = states + 8 * most * width;
+      wasm.place_events(watched, events.length, ROOM);
+      events.forEach((event, i) => wasm.set_event(i, ...event));
       array(at, n).set(times);
       result.status = wasm.simulate(method, begin, end, rtol, atol, at, n, states);
       result.reached = wasm.time_reached();
       result.evaluations = wasm.evaluations_of_run();
       result.n = wasm.states_stored();
+      result.n_events = wasm.events_found();
+      result.events = Array.from({length: Math.min(result.n_events, ROOM)}, (_, k) => ({event: wasm.event_number(k),
+        t: wasm.event_time(k), x: Array.from(array(wasm.event_state(k), width))}));
+      result.ended_by = wasm.ended_by();
+      // The state at an event that ends the run is the last one.
+      if (result.ended_by >= 0 && !(result.n && times[result.n - 1] === result.reached)) {
+        array(at, most)[result.n] = result.reached;
+        array(states + 8 * width * result.n, width).set(array(wasm.state(), width));
+        ++result.n;
+      }
       wasm.observe(at, states, result.n, rows);
+      result.times = array(at, result.n).slice();
       result.rows = array(rows, result.n * result.length).slice();
     }
     return {...result, message: message(result.status), duration: performance.now() - began};

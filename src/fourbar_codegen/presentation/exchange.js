@@ -149,7 +149,9 @@ const pythonLines = () => {
     ...dependent.slice(0, q).some(Boolean) ? [`guess=${values(0, q, i => dependent[i])}`] : [],
     ...states.length > q + u ? [`auxiliary_states=${values(q + u, states.length, () => true)}`] : [], ...given];
   const method = data.method === "DOP853" ? [] : [`method="${data.method}"`];
-  const run = [`(${t_span.map(number).join(", ")})`, "x0", ...method, ...given, `rtol=${data.rtol}`, `atol=${data.atol}`];
+  const events = data.events.length ? [`events=[${data.events.map(({python}) => python).join(", ")}]`] : [];
+  const run = [`(${t_span.map(number).join(", ")})`, "x0", ...method, ...given, ...events, `rtol=${data.rtol}`,
+    `atol=${data.atol}`];
   const called = (name, words) => [`${name}(`, ...words.map(word => `    ${word},`), ")"];
   if (notes.length) return [...notes, ""].join("\n");
   return [...sources.some(([, text]) => text.includes("np.")) ? ["import numpy as np", ""] : [],
@@ -234,9 +236,12 @@ const simulate = async (options = {}) => {
   const from = guesses ? {...pointOf(chosen), x: guess} : beginningOf(mode);
   const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), method: data.methods[method],
     rtol, atol});
-  return {t: Array.from(at.subarray(0, run.n)), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
-    success: run.status === 0, nfev: run.evaluations,
-    message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.message};
+  const found = data.events.map((_, number) => run.events.filter(({event}) => event === number));
+  return {t: Array.from(run.times), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
+    t_events: found.map(each => each.map(({t}) => t)), y_events: found.map(each => each.map(({x}) => x)),
+    success: run.status === 0, status: run.status !== 0 ? -1 : run.ended_by < 0 ? 0 : 1, nfev: run.evaluations,
+    message: run.closed && run.lost ? `${run.message}. ${LOST}` : run.ended_by < 0 ? run.message :
+      `${data.events[run.ended_by].name} ends the run`};
 };
 window.fourbar = Object.freeze({
   name: data.name,

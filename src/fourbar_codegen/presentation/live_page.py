@@ -29,7 +29,7 @@ from fourbar_codegen.presentation.html_page import (
     scene_data,
 )
 from fourbar_codegen.presentation.scene import Scene, known_points, scene
-from fourbar_codegen.roles import VECTORS, Method
+from fourbar_codegen.roles import VECTORS, EventRow, Method, Watched
 from fourbar_codegen.tables import Page
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def live_page(
     ranges: Mapping[Any, tuple[float, float]],
     traces: Sequence[str] | None,
     watch: Sequence[tuple[str, str]] | None,
+    events: Sequence[tuple[str, EventRow]],
     height: int,
 ) -> Page:
     """The page that begins with a run, written to a file if there is a path; see `CompiledModel.page`.
@@ -78,7 +79,7 @@ def live_page(
         raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
     if path is not None:
         writer_of(path_of(path), WRITERS, "A live page")
-    title, text = f"Live page of {run.model.name}", _text(run, module, ranges, traces, watch)
+    title, text = f"Live page of {run.model.name}", _text(run, module, ranges, traces, watch, events)
     if path is not None:
         save(path, text, WRITERS, "A live page")
     return Page(title, text, int(height))
@@ -103,18 +104,36 @@ def check_inputs(model: Kernel, inputs: Mapping[Any, Any] | None) -> None:
             )
 
 
+def _event(name: str, row: EventRow, columns: list[str], energies: int) -> dict[str, Any]:
+    """An event: its name, numbers for the engine, the column that is zero there, and its text in Python."""
+    known = columns.index(name) if name in columns else -1
+    column = energies + row.number if row.quantity is Watched.ENERGY else known
+    words = {"terminal": row.terminal, "direction": row.direction}
+    text = "".join(f", {word}={value}" for word, value in words.items() if value)
+    text += "" if row.all_roots else ", all_roots=False"
+    text += ", at_start=True" if row.at_start else ""
+    return {
+        "name": name,
+        "numbers": [int(number) for number in row],
+        "column": column,
+        "python": f'fb.Event("{name}"{text})' if text else f'"{name}"',
+    }
+
+
 def _text(
     run: Trajectory,
     module: Callable[[], bytes],
     ranges: Mapping[Any, tuple[float, float]],
     traces: Sequence[str] | None,
     watch: Sequence[tuple[str, str]] | None,
+    events: Sequence[tuple[str, EventRow]],
 ) -> str:
     model = run.model
     parameters = dict(zip(model.parameters, _parameters(run), strict=True))
     found = _scene(run)
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
     names += [name for vector in VECTORS for name in vector.components]
+    energies = names.index("kinetic energy", model.n_x + model.n_r + model.n_o)
     check_free(model.outputs, {name for name in names if names.count(name) > 1})
     modes = _modes(run)
     guides = [shape.points for shape in model.layout.drawing.shapes if shape.kind == "slider"]
@@ -161,8 +180,9 @@ def _text(
         "atol": run.settings["atol"],
         "columns": names,
         "panels": _panels(run),
-        "energies": names.index("kinetic energy", model.n_x + model.n_r + model.n_o),
+        "energies": energies,
         "figures": _figures(model, names, watch),
+        "events": [_event(name, row, names, energies) for name, row in events],
         "turn": found.view.turn.tolist(),
         "points": len(model.layout.drawing.points),
         "guides": guides,

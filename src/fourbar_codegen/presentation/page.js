@@ -38,7 +38,7 @@ const update = async () => {
   try {
     const run = await engine.ask("run", request);
     if (run.closed) points[mode] = {...pointOf(asked), x: Array.from(run.x0)};
-    if (run.n) show({...run, settings: asked, times: request.times.subarray(0, run.n)});
+    if (run.n) show({...run, settings: asked});
     say([sentence(run), unknownWords].filter(Boolean).join(" "));
     byId("mechanism").classList.toggle("stale", !run.n);
     if (settled && !waiting) writeLink();
@@ -89,6 +89,8 @@ const sentence = run => {
   }
   return [run.lost ? LOST : "",
     run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
+    run.ended_by < 0 ? "" : `${data.events[run.ended_by].name} ends the run at t = ${numberText(run.reached)} s.`,
+    run.n_events > run.events.length ? `Of ${run.n_events} events, the first ${run.events.length} are shown.` : "",
     grown(run) ? "The energy has grown a thousandfold: loads feed the motion, or integration errors do." : ""]
     .filter(Boolean).join(" ");
 };
@@ -159,7 +161,9 @@ const plots = data.panels.map(panel => {
     .map(values => log ? values.map(value => Math.log10(Math.max(value, 2 ** -53))) : values);
   const draw = () => {
     if (!shownRun || !details.open || !inWindow.has(details)) return;
-    plot.set(shownRun.times, curves(shownRun), before && {times: before.times, curves: curves(before)});
+    plot.set(shownRun.times, curves(shownRun), before && {times: before.times, curves: curves(before)},
+      shownRun.events.map(({event, t}) => ({t, text: `${data.events[event].name} at t = ${digits(t)} s`,
+        curve: columns.indexOf(data.events[event].column)})));
     plot.draw();
     plot.show(controls.shown());
   };
@@ -189,6 +193,7 @@ const show = run => {
   drawPlots();
   controls.show(controls.shown());
   drawFigures();
+  drawEvents();
   byId("cost").textContent = `${run.evaluations} evaluations, ${run.duration.toFixed(1)} ms`;
   if (!byId("code").hidden) byId("code").textContent = pythonLines();
   if (isFirst) performance.mark("first picture");
@@ -247,6 +252,22 @@ const setFigures = chosen => {
   drawFigures();
   if (!busy) writeLink();
 };
+
+// The times of events.
+
+const TIMES_SHOWN = 12;
+if (!data.events.length) byId("occurred").remove();
+const eventCells = data.events.map(({name}) => {
+  const row = make("tr", {}, byId("events"));
+  make("th", {scope: "row"}, row, name);
+  return [make("td", {}, row), make("td", {}, row)];
+});
+const drawEvents = () => eventCells.forEach(([count, at], number) => {
+  const times = shownRun.events.filter(({event}) => event === number).map(({t}) => digits(t));
+  count.textContent = times.length;
+  at.textContent = [...times.slice(0, TIMES_SHOWN), ...times.length > TIMES_SHOWN ? ["..."] : []].join(", ");
+});
+
 for (const name in STATISTICS) make("option", {}, byId("statistic"), name);
 for (const name of data.columns) make("option", {}, byId("quantity"), name);
 byId("add").addEventListener("click", () => {

@@ -60,7 +60,7 @@ const framesBetween = (begin, end) => {
 
 const requestOf = (settings, from, times = framesBetween(...settings.t_span)) =>
   ({...pointOf(settings, from.x), from, end: settings.t_span[1], method: data.methods[data.method],
-    rtol: data.rtol, atol: data.atol, times});
+    rtol: data.rtol, atol: data.atol, times, events: data.events.map(({numbers}) => numbers)});
 
 // Values of a column over a run.
 const columnOf = (run, k) => Float64Array.from({length: run.n}, (_, i) => run.rows[i * run.length + k]);

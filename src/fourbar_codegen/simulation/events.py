@@ -27,7 +27,17 @@ TOUCHED = (
     "which is no event."
 )
 
-__all__ = ["Event", "EventLike", "Watch", "event_row", "event_rows", "events_of", "touched", "watched_quantity"]
+__all__ = [
+    "Event",
+    "EventLike",
+    "Watch",
+    "event_row",
+    "event_rows",
+    "events_of",
+    "named_events",
+    "touched",
+    "watched_quantity",
+]
 
 Floats = NDArray[np.float64]
 
@@ -155,6 +165,23 @@ def event_rows(model: Kernel, events: Sequence[Event]) -> list[EventRow]:
         event_row(e, *((Watched.CALLABLE, e.function) if callable(e.function) else watched_quantity(model, e.function)))
         for e in events
     ]
+
+
+def named_events(model: Kernel, events: Any, what: str) -> list[tuple[str, EventRow]]:
+    """Events by the names of their quantities, for what contains no Python.
+
+    Raises
+    ------
+    ModelError
+        If one of them is a callable, or the name of no quantity.
+    """
+    found = events_of(model, events) or []
+    if any(callable(event.function) for event in found):
+        raise ModelError(
+            f"An event of {what} is the name of a quantity: a callable cannot be put into a file. Make the function an "
+            "output of the model."
+        )
+    return [(str(event.function), row) for event, row in zip(found, event_rows(model, found), strict=True)]
 
 
 class _Slopes(NamedTuple):

@@ -110,6 +110,64 @@ static double next_change(const double begin, const double end)
 
 static struct FB_MODEL mechanism;
 
+/* The events of runs. */
+static struct FB_EVENTS watched;
+
+/* Places n events, and the first ones that a run finds, up to `room`, in memory, unless that is NULL; returns its
+ * length in doubles. */
+long FB_EXPORT(place_events)(double *memory, const int n, const long room)
+{
+    fb_watch watch;
+    const size_t of_events = ((size_t)n * sizeof(struct FB_EVENT) + sizeof(double) - 1) / sizeof(double);
+    const size_t of_found = (size_t)room * sizeof(struct FB_FOUND) / sizeof(double);
+    if (memory)
+        watched = (struct FB_EVENTS){.n = n,
+                                     .event = (struct FB_EVENT *)(void *)(memory + of_found),
+                                     .work = memory + of_found + of_events,
+                                     .found = (struct FB_FOUND *)(void *)memory,
+                                     .room = room,
+                                     .ended_by = -1};
+    return (long)(of_found + of_events + fb_place_events(&watch, n, 0, NULL));
+}
+
+void FB_EXPORT(set_event)(const int i, const int quantity, const int number, const int direction, const int terminal,
+                          const int at_start, const int all_roots)
+{
+    ((struct FB_EVENT *)watched.event)[i] = (struct FB_EVENT){.quantity = quantity,
+                                                              .number = number,
+                                                              .direction = direction,
+                                                              .ends_only = !all_roots,
+                                                              .at_start = at_start,
+                                                              .terminal = terminal};
+}
+
+/* How many the last run has found, and the one that has ended it, or -1. */
+long FB_EXPORT(events_found)(void)
+{
+    return watched.n_found;
+}
+
+int FB_EXPORT(ended_by)(void)
+{
+    return watched.ended_by;
+}
+
+/* The event that was found, its time and state. */
+int FB_EXPORT(event_number)(const long found)
+{
+    return watched.found[found].event;
+}
+
+double FB_EXPORT(event_time)(const long found)
+{
+    return watched.found[found].t;
+}
+
+const double *FB_EXPORT(event_state)(const long found)
+{
+    return watched.found[found].x;
+}
+
 /* Takes over parameters and inputs. */
 int FB_EXPORT(update)(void)
 {
@@ -217,7 +275,7 @@ int FB_EXPORT(simulate)(const int method, const double begin, const double end, 
     mechanism.t = begin;
     own_of(&mechanism)->run.samples.next_time = own_of(&mechanism)->run.stepper.n_evaluations =
         0; /* if it does not begin */
-    return FB_PUBLIC(simulate)(&mechanism, end, rtol, atol, times, n, states);
+    return FB_PUBLIC(simulate_events)(&mechanism, end, rtol, atol, times, n, states, &watched);
 }
 
 /* Of the position constraints, and of those of velocity that keep no position, as `Trajectory.constraint_residual`. */

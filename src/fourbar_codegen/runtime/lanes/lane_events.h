@@ -156,6 +156,7 @@ static int fb_find_events_in_lane(fb_lanes *c, const fb_ensemble *e, const int l
     fb_run *const r = &c->alone;
     fb_watch *const watch = &r->watch;
     fb_stepper *const b = &r->stepper;
+    watch->is_known = c->search.in_lanes && !c->search.begins[lane] && t_new[lane] != c->bound[lane];
     if (c->search.begins[lane]) {
         fb_enter_alone(c, e, lane, c->t[lane]);
         fb_take_lane(c->x, lane, N_X, b->x);

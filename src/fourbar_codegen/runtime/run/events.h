@@ -14,7 +14,8 @@
 #include "run.h"
 
 /* A series is known if its last two coefficients are below this fraction of its values. A root is excluded before that
- * if so many times these coefficients do not suffice for one. */
+ * if so many times these coefficients do not suffice for one, or a second one if they do not for a zero of the slope.
+ */
 #define FB_SERIES_RTOL 1e-13
 #define FB_SERIES_MARGIN 100.0
 
@@ -22,6 +23,9 @@
  * these terms is found. */
 #define FB_ROUNDING_RTOL (64.0 * DBL_EPSILON)
 #define FB_TERM_CHANGE 1e-6
+
+/* Secants towards a root; the second one usually has it. */
+enum { FB_MOST_SECANTS = 4 };
 
 /* A part of a step in which a function has no series is halved if it is longer than this fraction of the step;
  * otherwise the signs at its points decide. */
@@ -197,7 +201,13 @@ static inline int fb_series_of(const fb_run *r, const int i, const int n, fb_ser
     series->error = last + FB_ROUNDING_RTOL * largest;
     if (fabs(series->c[0]) > fb_chebyshev_range(n, series->c) + FB_SERIES_MARGIN * last)
         return 0;
-    return last <= FB_SERIES_RTOL * largest ? n : -1;
+    if (last <= FB_SERIES_RTOL * largest)
+        return n;
+    /* Where a slope that is known well enough keeps its sign, there is one root at most: T_k' is k^2 at most. */
+    double slope[FB_MOST_DEGREE + 1];
+    fb_chebyshev_slope(n, series->c, slope);
+    const double slope_error = 4.0 * n * n * FB_SERIES_MARGIN * last;
+    return fabs(slope[0]) > fb_chebyshev_range(n - 1, slope) + slope_error ? n : -1;
 }
 
 /* Whether the interpolant differs from the states at the ends of the step: that of a method with a step control of its
@@ -242,6 +252,7 @@ static inline int fb_know_part(const fb_part_of_step *part)
     const int n_events = watch->n_events;
     fb_series series;
     double *const first = watch->values + FB_MOST_DEGREE * n_events, *const last = watch->values;
+    const int is_whole = part->begin == 0.0 && part->end == 1.0;
     int open = 0, status = 0;
     for (int i = 0; i < n_events; ++i) {
         watch->events[i].degree = watch->events[i].all_roots ? -1 : 0;
@@ -253,8 +264,8 @@ static inline int fb_know_part(const fb_part_of_step *part)
         status = fb_values_of_interpolant(part, first, last);
     for (int n = FB_LEAST_DEGREE; n <= FB_MOST_DEGREE && open > 0 && status >= 0; n *= 2) {
         /* Points with an even number are those of half the degree; the last one is the beginning. */
-        const int is_first = n == FB_LEAST_DEGREE;
-        for (int j = is_first && part->end < 1.0 ? 0 : 1; j < n; j += is_first ? 1 : 2) {
+        const int is_first = n == FB_LEAST_DEGREE, is_known = is_first && is_whole && watch->is_known;
+        for (int j = is_first && part->end < 1.0 ? 0 : 1; j < n && !is_known; j += is_first ? 1 : 2) {
             const double t = fb_time_of_fraction(s, fb_fraction(part, fb_chebyshev_point(n, j)));
             status = s->method->interpolate(s, t, watch->along);
             if (status >= 0)
@@ -272,35 +283,56 @@ static inline int fb_know_part(const fb_part_of_step *part)
     return status < 0 ? status : open == 0;
 }
 
-/* A root of the part's event function where it crosses zero: with a series, near the root of that. */
+/* The root of the part's event function near that of its series, where it crosses zero: by the slope of the series
+ * first, then by secants. Returns whether they converge: the error of a secant's root is about the product of the last
+ * two changes over the length in which the slope changes, which is not shorter than that of the crossing. */
+static inline int fb_solve_near_series(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series,
+                                       double *root)
+{
+    const double a = crossing->low, b = crossing->high;
+    const double near_a = fb_chebyshev_value(series->n, series->c, a);
+    const double near_b = fb_chebyshev_value(series->n, series->c, b);
+    double slopes[FB_MOST_DEGREE + 1], at_old, at;
+    if (!fb_is_bracket(near_a, near_b))
+        return 0;
+    double old = a;
+    fb_solve_bracketed(fb_value_of_series, series, a, near_a, b, near_b, &old);
+    int status = fb_value_in_part(part, old, &at_old);
+    fb_chebyshev_slope(series->n, series->c, slopes);
+    double y = old - at_old / fb_chebyshev_value(series->n - 1, slopes, old);
+    for (int i = 0; i < FB_MOST_SECANTS && status >= 0 && y >= a && y <= b; ++i) {
+        const double change = y - old;
+        double next = y;
+        if (fabs(change) > 4.0 * DBL_EPSILON) { /* otherwise it consists of rounding errors */
+            status = fb_value_in_part(part, y, &at);
+            next = at == 0.0 ? y : y - at * change / (at - at_old);
+        }
+        if (status >= 0 && next >= a && next <= b && fabs(next - y) <= fabs(change) &&
+            fabs((next - y) * change) <= DBL_EPSILON * (b - a)) {
+            *root = next;
+            return 1;
+        }
+        old = y;
+        at_old = at;
+        y = next;
+    }
+    return status < 0 ? status : 0;
+}
+
+/* A root of the part's event function where it crosses zero. */
 static inline int fb_solve_for_root(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series, double *root)
 {
     const double a = crossing->low, b = crossing->high;
     double at_a, at_b;
     *root = a;
-    if (a == b)
+    if (a == b || (fb_fraction(part, a) == 0.0 && part->run->watch.events[part->event].value == 0.0))
         return 0;
-    int status = fb_value_in_part(part, a, &at_a);
+    int status = series ? fb_solve_near_series(part, crossing, series, root) : 0;
+    if (status != 0)
+        return status < 0 ? status : 0;
+    status = fb_value_in_part(part, a, &at_a);
     if (status < 0 || at_a == 0.0)
         return status;
-    if (series) {
-        double slope[FB_MOST_DEGREE + 1], near_a, near_b, at_root, at_other;
-        near_a = fb_chebyshev_value(series->n, series->c, a);
-        near_b = fb_chebyshev_value(series->n, series->c, b);
-        if (fb_is_bracket(near_a, near_b))
-            fb_solve_bracketed(fb_value_of_series, series, a, near_a, b, near_b, root);
-        status = fb_value_in_part(part, *root, &at_root);
-        if (status < 0)
-            return status;
-        fb_chebyshev_slope(series->n, series->c, slope);
-        const double step = -2.0 * at_root / fb_chebyshev_value(series->n - 1, slope, *root);
-        const double other = *root + step < b ? fmax(*root + step, a) : b; /* also if it is NaN */
-        status = fb_value_in_part(part, other, &at_other);
-        if (status < 0)
-            return status;
-        if (fb_is_bracket(at_root, at_other))
-            return fb_solve_bracketed(fb_value_in_part, part, *root, at_root, other, at_other, root);
-    }
     status = fb_value_in_part(part, b, &at_b);
     if (status < 0 || !fb_is_bracket(at_a, at_b))
         return status;
@@ -416,8 +448,9 @@ static inline int fb_find_events(fb_run *r)
     watch->n_found = 0;
     int status = 0;
     if (watch->searched == 0.0) {
-        status = s->t == r->t_bound ? fb_event_values_at_end(r, 0, watch->ends, watch->polished)
-                                    : fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends);
+        if (!watch->is_known)
+            status = s->t == r->t_bound ? fb_event_values_at_end(r, 0, watch->ends, watch->polished)
+                                        : fb_event_values(r, s->t, s->x, FB_ALL_EVENTS, watch->ends);
         for (int i = 0; i < watch->n_events; ++i)
             watch->events[i].mismatch = 0.0;
     }

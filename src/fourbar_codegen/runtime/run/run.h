@@ -58,6 +58,7 @@ typedef struct fb_watch {
     double *values;   /* (FB_MOST_DEGREE + 1, n_events): of the functions, at the points of that part */
     double *ends;     /* (n_events,), at the end of the step */
     double *polished; /* (n_events,), scratch */
+    int is_known;     /* whether `values` has those of the whole last step for the least degree, and `ends` its ends */
     double *scratch;  /* (n_u + n_l + n_o + 12,) */
     int n_found;
     double searched; /* the fraction of the last step in which all events were found, ... */

@@ -68,6 +68,7 @@ bench:
 	$(BIN)/python benchmarks/collocation.py --output results/collocation.json
 	$(BIN)/python benchmarks/pins.py --output results/pins.json
 	$(BIN)/python benchmarks/scale.py --output results/scale.json
+	$(BIN)/python benchmarks/events.py --output results/events.json
 	$(BIN)/python benchmarks/export.py --output results/export.json
 	$(BIN)/python benchmarks/footprint.py --output results/footprint.json
 	$(BIN)/python benchmarks/page.py --output results/page.json

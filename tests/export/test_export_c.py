@@ -297,6 +297,21 @@ def test_c_library_has_events_of_all_quantities(exported):
     np.testing.assert_allclose([t for t, _ in found], [t for t, _ in expected], rtol=0, atol=1e-10)
 
 
+def test_c_library_tells_of_functions_that_touch_zero(exported):
+    """The kinetic energy is zero where the linkage rests; the last time counts, within the run."""
+    compiled, library = exported("four_bar")
+    x = compiled.initial_state()
+    rest = compiled.simulate((0.0, 4.0), x, events="u1", rtol=1e-9, atol=1e-9).t_events[0]
+    energy, callback = {"quantity": Watched.ENERGY, "number": 0}, FUNCTION(lambda of, t, state: t - 2.0)
+    for terminal, last in ((0, rest[4]), (1, rest[1])):
+        until = {"quantity": Watched.CALLABLE, "function": callback, "terminal": terminal}
+        mechanism, events = library.new(), library.events(energy, until)
+        mechanism.x[:] = x
+        assert library.call("simulate_events", mechanism, 4.0, 1e-9, 1e-9, None, 0, None, ctypes.byref(events)) == 0
+        found = [library.call("touched", mechanism, ctypes.byref(events), event) for event in (0, 1)]
+        np.testing.assert_allclose(found, [last, np.nan], rtol=0, atol=1e-6)
+
+
 def test_c_library_run_ends_at_a_terminal_event(exported):
     compiled, library = exported("four_bar")
     x, times = compiled.initial_state(), np.linspace(0.0, 4.0, 41)

@@ -69,7 +69,7 @@ class Library:
         self.event_work = int(re.search(rf"{self.name}_event_work = (\d+)", header)[1])
         self.Mechanism, self.loaded = Mechanism, ctypes.CDLL(str(shared))
         self.function("message").restype = ctypes.c_char_p
-        for name in ("violation", "relative_violation", "input", "next_breakpoint"):
+        for name in ("violation", "relative_violation", "input", "next_breakpoint", "touched"):
             self.function(name).restype = double
         self.function("update").restype = ctypes.c_int
 

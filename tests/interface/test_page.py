@@ -179,6 +179,7 @@ def test_page_marks_events_where_simulate_finds_them(opened, four_bar):
         np.testing.assert_allclose(np.reshape(found["y_events"][number], (-1, 6)), states, rtol=0.0, atol=1e-8)
     cells = [page.locator("#events tr").nth(row).locator("td") for row in range(5)]
     assert [row.nth(0).inner_text() for row in cells] == ["2", "1", "3", "0", "0"]
+    assert "kinetic_energy is zero at t = " in page.inner_text("#status")
     assert cells[0].nth(1).inner_text() == ", ".join(f"{t:.6g}" for t in expected.t_events[0])
     # in each open plot all marks; those of u1 and u3 are dots on their curves
     speeds = page.locator("details", has=page.get_by_text("Speeds (rad/s or m/s)"))

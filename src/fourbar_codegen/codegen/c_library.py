@@ -196,6 +196,10 @@ struct ${name}_events {
 int ${name}_simulate_events(struct $name *model, double t_end, double rtol, double atol, const double *times,
     long n_times, double *states, struct ${name}_events *events);
 
+/* The last time in that run at which the quantity of an event, by its number, was 0, to within rounding errors, with
+ * the same sign before and after, which is no event; or not a number. */
+double ${name}_touched(struct $name *model, const struct ${name}_events *events, int event);
+
 /* dx/dt at another time and state, with the inputs as they are held. */
 int ${name}_rhs(struct $name *model, double t, const double *x, double *rates);
 

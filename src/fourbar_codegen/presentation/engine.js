@@ -76,7 +76,7 @@ const makeEngine = async bytes => {
     const closed = followed.status === OK && !followed.lost ? followed : nearest(start, to);
     const result = {status: closed.status, closed: closed.status === OK, lost: Boolean(closed.lost), x0: closed.x,
       reached: begin, n: 0, length: 0, times: new Float64Array(0), rows: new Float64Array(0), evaluations: 0,
-      events: [], n_events: 0, ended_by: -1};
+      events: [], n_events: 0, ended_by: -1, touched: []};
     if (result.closed) {
       set({...point, x: closed.x});
       result.length = wasm.row_length();
@@ -95,6 +95,7 @@ const makeEngine = async bytes => {
       result.events = Array.from({length: Math.min(result.n_events, ROOM)}, (_, k) => ({event: wasm.event_number(k),
         t: wasm.event_time(k), x: Array.from(array(wasm.event_state(k), width))}));
       result.ended_by = wasm.ended_by();
+      result.touched = events.map((_, i) => wasm.event_touched(i));
       // The state at an event that ends the run is the last one.
       if (result.ended_by >= 0 && !(result.n && times[result.n - 1] === result.reached)) {
         array(at, most)[result.n] = result.reached;

@@ -82,6 +82,8 @@ const grown = run => {
   return size > 0 && last > Math.max(1000 * size, visible);
 };
 const LOST = "The assembly mode could not be followed to these values: another one may be shown.";
+const touching = (name, t) => `${name} is zero at t = ${numberText(t)} s, to within rounding errors, with the same sign ` +
+  "before and after it, which is no event.";
 const sentence = run => {
   if (!run.closed) {
     return `The mechanism cannot be assembled with these values: ${run.message}. The picture shows the last values ` +
@@ -90,6 +92,7 @@ const sentence = run => {
   return [run.lost ? LOST : "",
     run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
     run.ended_by < 0 ? "" : `${data.events[run.ended_by].name} ends the run at t = ${numberText(run.reached)} s.`,
+    ...data.events.map(({name}, i) => run.touched[i] >= -Infinity ? touching(name, run.touched[i]) : ""),
     run.n_events > run.events.length ? `Of ${run.n_events} events, the first ${run.events.length} are shown.` : "",
     grown(run) ? "The energy has grown a thousandfold: loads feed the motion, or integration errors do." : ""]
     .filter(Boolean).join(" ");

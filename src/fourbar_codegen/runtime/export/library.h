@@ -576,6 +576,16 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
     return FB_OK;
 }
 
+double FB_PUBLIC(touched)(struct FB_MODEL *model, const struct FB_EVENTS *events, const int event)
+{
+    fb_watch watch;
+    if (events->work == NULL || event < 0 || event >= events->n)
+        return NAN;
+    fb_place_events(&watch, events->n, 0, events->work);
+    const double t = watch.events[event].touched;
+    return own_of(model)->run.direction * (model->t - t) >= 0.0 ? t : NAN;
+}
+
 int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
                         const double *times, const long n_times, double *states)
 {

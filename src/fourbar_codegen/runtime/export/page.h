@@ -152,6 +152,12 @@ int FB_EXPORT(ended_by)(void)
     return watched.ended_by;
 }
 
+/* The time at which an event's quantity was zero with the same sign before and after, or not a number. */
+double FB_EXPORT(event_touched)(const int event)
+{
+    return FB_PUBLIC(touched)(&mechanism, &watched, event);
+}
+
 /* The event that was found, its time and state. */
 int FB_EXPORT(event_number)(const long found)
 {

@@ -310,6 +310,20 @@ def test_c_library_tells_of_functions_that_touch_zero(exported):
         assert library.call("simulate_events", mechanism, 4.0, 1e-9, 1e-9, None, 0, None, ctypes.byref(events)) == 0
         found = [library.call("touched", mechanism, ctypes.byref(events), event) for event in (0, 1)]
         np.testing.assert_allclose(found, [last, np.nan], rtol=0, atol=1e-6)
+        assert np.isnan(library.call("touched", mechanism, ctypes.byref(events), 2))
+        assert np.isnan(library.call("touched", library.new(), ctypes.byref(events), 0))  # it has had no run
+
+
+def test_c_library_takes_the_sign_of_a_direction_alone(exported):
+    compiled, library = exported("four_bar")
+    for direction in (-1, -7, -(2**31)):
+        mechanism, events = (
+            library.new(),
+            library.events({"quantity": Watched.STATE, "number": 3, "direction": direction}),
+        )
+        mechanism.x[:] = compiled.initial_state()
+        library.call("simulate_events", mechanism, 4.0, 1e-8, 1e-8, None, 0, None, ctypes.byref(events))
+        assert events.n_found == 2
 
 
 def test_c_library_run_ends_at_a_terminal_event(exported):

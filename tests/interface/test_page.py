@@ -210,6 +210,22 @@ def test_page_ends_its_run_at_a_terminal_event(opened, four_bar):
     assert place["run"].t[-1] == pytest.approx(t[-1], abs=1e-12)
 
 
+def test_page_writes_odd_names_of_events_as_python(opened):
+    """Quotes and backslashes, as in names of LaTeX."""
+    model, q = fb.models.four_bar(), me.dynamicsymbols("q1")
+    names = [r"\alpha", 'it\'s "q"', "θ_1"]
+    given = {"parameters": model.parameters, "initial": model.initial}
+    outputs = dict.fromkeys(names, q + 1.5)
+    made = fb.compile_model(fb.Model(model.system, inputs={"F": 0}, outputs=outputs, **given)).page(
+        events=[names[0], fb.Event(names[1], direction=-1), names[2]], t_span=(0.0, 1.0)
+    )
+    place = {"fb": fb, "model": None}
+    page = opened(made)
+    lines = page.evaluate("pythonLines()")
+    text = next(line for line in lines.splitlines() if "events=" in line)
+    assert [getattr(event, "function", event) for event in eval(f"dict({text.strip()})", place)["events"]] == names
+
+
 def test_page_with_more_events_than_it_keeps_says_so(opened, four_bar):
     """A motor's torque that changes its sign 2,000 times within 1 s."""
     page = opened(four_bar.page(events="F", t_span=(0.0, 1.0)))

@@ -363,3 +363,84 @@ def test_a_terminal_event_before_a_singular_position_ends_the_run_in_the_same_st
 def test_what_touches_zero_after_the_end_is_not_said(mass):
     events = [fb.Event(lambda t, x: t - 0.5, terminal=True), lambda t, x: (t - 0.7) ** 2]
     assert mass.simulate((0.0, 1.0), [0.0, 1.0], events=events).message == "A termination event occurred."
+
+
+@pytest.mark.parametrize(
+    ("function", "root"),
+    [
+        (lambda t, x: np.log(t) + 1.0 if t > 0.0 else -np.inf, math.exp(-1.0)),
+        (lambda t, x: 1.0 / t - 2.0 if t > 0.0 else np.inf, 0.5),
+        (lambda t, x: np.inf if t == 1.0 else t - 0.5, 0.5),
+        (lambda t, x: 1.7e308 * (t - 0.3), 0.3),
+        (lambda t, x: 1e-200 * (t - 0.3), 0.3),
+    ],
+)
+@pytest.mark.parametrize("method", ["DOP853", "RK45"])
+def test_functions_that_are_infinite_or_huge_at_an_end(oscillator, method, function, root):
+    run = oscillator.simulate((0.0, 1.0), [1.0, 0.0], method=method, events=function)
+    assert run.t_events[0] == pytest.approx([root], abs=SPACING)
+
+
+def test_functions_that_are_never_negative_have_no_events(oscillator):
+    """At the zeros of x and v, 190 each, they are positive, or zero. Energies are x^2 / 2 and v^2 / 2."""
+    functions = [
+        "kinetic_energy",
+        lambda t, x: x[0] ** 2,
+        lambda t, x: (x[0] * x[1]) ** 2,
+        lambda t, x: 1.0 - math.sin(t),
+    ]
+    for method, rtol in (("RK45", 1e-12), ("Tsit5", 1e-9), ("DOP853", 1e-6)):
+        run = oscillator.simulate((0.0, 300.0), [1.0, 0.0], method=method, rtol=rtol, events=functions)
+        assert [len(times) for times in run.t_events] == [0, 0, 0, 0]
+    assert "is zero at t = " in run.message
+
+
+@pytest.mark.parametrize("rate", [33.0, 40.0, 400.0])
+@pytest.mark.parametrize("all_roots", [True, False])
+def test_functions_that_decay_have_no_event_at_the_end(oscillator, rate, all_roots):
+    """They are small beside what they were, but not beside their own terms there."""
+    event = fb.Event(lambda t, x: math.exp(-rate * t), terminal=True, all_roots=all_roots)
+    run = oscillator.simulate((0.0, 1.0), [1.0, 0.0], events=event)
+    assert (run.status, len(run.t_events[0])) == (0, 0)
+    assert "is zero at t = " not in run.message
+
+
+@pytest.mark.parametrize("root", [0.1, 0.26393, 0.43, 0.9])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5"])
+def test_roots_that_lie_far_below_the_largest_value_of_a_step(oscillator, method, root):
+    """exp(k t) grows by forty decades within 1 s, so that no series of a long step shows them."""
+    for rate in (60.0, 93.18, 126.14):
+
+        def grows(t, x, rate=rate):
+            return math.exp(rate * t) - math.exp(rate * root)
+
+        run = oscillator.simulate((0.0, 1.0), [1.0, 0.0], method=method, rtol=1e-3, events=grows)
+        assert run.t_events[0] == pytest.approx([root], abs=SPACING)
+
+
+@pytest.mark.parametrize("jump", [1e-10, 1e-8, 1e-6, 1e-4])
+def test_times_of_jumps_and_steep_pieces_beside_a_straight_line(oscillator, jump):
+    """The jump passes zero at c + d, as does the steep piece, within 1/100 of the jump."""
+    rng = np.random.default_rng(9)
+    for c, part in zip(rng.uniform(0.1, 0.9, 20), rng.uniform(-0.9, 0.9, 20), strict=True):
+        place = c + part * jump
+        functions = [
+            lambda t, x, at=place, c=c: (t - c) + (jump if t > at else -jump),
+            lambda t, x, at=place: (t - at) + jump * math.tanh((t - at) / (jump / 100.0)),
+        ]
+        run = oscillator.simulate((0.0, 1.0), [1.0, 0.0], events=functions)
+        for times in run.t_events:
+            # 1e-12 of a step of less than 1 s
+            assert times == pytest.approx([place], abs=1e-12)
+
+
+def test_three_roots_by_a_jump_that_nine_values_cannot_tell_from_a_line(oscillator):
+    """(t - c) - D sign(t - c) at c - D, c, c + D, where D is more than 1e-4 of a step."""
+    step = np.diff(oscillator.simulate((0.0, 1.0), [1.0, 0.0]).t).max()
+    rng = np.random.default_rng(4)
+    for c in rng.uniform(0.1, 0.9, 50):
+        half = 1.1e-4 * step
+        run = oscillator.simulate(
+            (0.0, 1.0), [1.0, 0.0], events=lambda t, x, c=c, half=half: (t - c) - half * np.sign(t - c)
+        )
+        assert run.t_events[0] == pytest.approx([c - half, c, c + half], abs=1e-12)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -108,6 +109,7 @@ def _event(name: str, row: EventRow, columns: list[str], energies: int) -> dict[
     """An event: its name, numbers for the engine, the column that is zero there, and its text in Python."""
     known = columns.index(name) if name in columns else -1
     column = energies + row.number if row.quantity is Watched.ENERGY else known
+    quoted = json.dumps(name, ensure_ascii=False)
     words = {"terminal": row.terminal, "direction": row.direction}
     text = "".join(f", {word}={value}" for word, value in words.items() if value)
     text += "" if row.all_roots else ", all_roots=False"
@@ -116,7 +118,7 @@ def _event(name: str, row: EventRow, columns: list[str], energies: int) -> dict[
         "name": name,
         "numbers": [int(number) for number in row],
         "column": column,
-        "python": f'fb.Event("{name}"{text})' if text else f'"{name}"',
+        "python": f"fb.Event({quoted}{text})" if text else quoted,
     }
 
 

@@ -92,7 +92,7 @@ const sentence = run => {
   return [run.lost ? LOST : "",
     run.status === 0 ? "" : `The run ends at t = ${numberText(run.reached)} s: ${run.message}.`,
     run.ended_by < 0 ? "" : `${data.events[run.ended_by].name} ends the run at t = ${numberText(run.reached)} s.`,
-    ...data.events.map(({name}, i) => run.touched[i] >= -Infinity ? touching(name, run.touched[i]) : ""),
+    ...data.events.map(({name}, i) => Number.isFinite(run.touched[i]) ? touching(name, run.touched[i]) : ""),
     run.n_events > run.events.length ? `Of ${run.n_events} events, the first ${run.events.length} are shown.` : "",
     grown(run) ? "The energy has grown a thousandfold: loads feed the motion, or integration errors do." : ""]
     .filter(Boolean).join(" ");

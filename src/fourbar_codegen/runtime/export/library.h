@@ -471,6 +471,9 @@ static int watch_events(fb_run *run, struct FB_EVENTS *events, double *scratch)
     if (n < 0 || (n > 0 && (events->event == NULL || events->work == NULL)) ||
         (events->room > 0 && events->found == NULL))
         return 0;
+    for (int i = 0; i < n; ++i)
+        if (!has_quantity(events->event + i))
+            return 0;
     fb_place_events(watch, n, 0, events->work);
     watch->n_events = n;
     watch->scratch = scratch;
@@ -478,11 +481,9 @@ static int watch_events(fb_run *run, struct FB_EVENTS *events, double *scratch)
     watch->caller = events;
     for (int i = 0; i < n; ++i) {
         const struct FB_EVENT *const event = events->event + i;
-        if (!has_quantity(event))
-            return 0;
         watch->events[i] = (fb_event){.quantity = event->quantity,
                                       .row = event->quantity == FB_WATCHED_CALLABLE ? i : event->number,
-                                      .direction = event->direction,
+                                      .direction = (event->direction > 0) - (event->direction < 0),
                                       .terminal = event->terminal,
                                       .at_start = event->at_start,
                                       .all_roots = !event->ends_only,
@@ -578,12 +579,11 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
 
 double FB_PUBLIC(touched)(struct FB_MODEL *model, const struct FB_EVENTS *events, const int event)
 {
-    fb_watch watch;
-    if (events->work == NULL || event < 0 || event >= events->n)
-        return NAN;
-    fb_place_events(&watch, events->n, 0, events->work);
-    const double t = watch.events[event].touched;
-    return own_of(model)->run.direction * (model->t - t) >= 0.0 ? t : NAN;
+    const fb_run *const run = &own_of(model)->run;
+    if (run->watch.values != events->work || event < 0 || event >= run->watch.n_events)
+        return NAN; /* the last run was another one */
+    const double t = run->watch.events[event].touched;
+    return run->direction * (model->t - t) >= 0.0 ? t : NAN;
 }
 
 int FB_PUBLIC(simulate)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,

@@ -24,8 +24,17 @@
 #define FB_ROUNDING_RTOL (64.0 * DBL_EPSILON)
 #define FB_TERM_CHANGE 1e-6
 
-/* Secants towards a root; the second one usually has it. */
-enum { FB_MOST_SECANTS = 4 };
+/* A margin like that, for the slope. */
+#define FB_SLOPE_MARGIN 300.0
+
+/* Values above this may have series that are not finite. */
+#define FB_LARGEST_VALUE 1e300
+
+/* A bracket of a root is this part of a step at most, for a line between its ends. */
+#define FB_ROOT_ATOL 1e-12
+
+/* Where a function touches zero, it is smaller by this factor than at this distance, for a part of length 2. */
+#define FB_BESIDE 1e-3
 
 /* A part of a step in which a function has no series is halved if it is longer than this fraction of the step;
  * otherwise the signs at its points decide. */
@@ -103,7 +112,8 @@ static inline int fb_event_values_at_end(fb_run *r, const int is_begin, double *
     for (int i = 0; i < n; ++i)
         size[i] = tolerances[i] = 0.0;
     for (int j = -1; j < s->n && status >= 0; ++j) { /* t, then the state */
-        const double term = fabs(j < 0 ? s->problem->clock.origin + s->t : s->x[j]);
+        const double now = fabs(j < 0 ? s->problem->clock.origin + s->t : s->x[j]);
+        const double term = j < 0 || is_begin ? now : fmax(now, fabs(s->x_old[j])); /* its error is that of the step */
         const double tolerance = j < 0 || !s->atol ? 0.0 : s->atol[j] + s->rtol[j] * term;
         const double change = FB_TERM_CHANGE * (term + tolerance);
         double t = s->t;
@@ -181,33 +191,42 @@ static inline int fb_value_in_part(void *of, const double y, double *value)
     return status;
 }
 
+/* The rounding errors of places in a part, -1 <= y <= 1, by those of times. */
+static inline double fb_rounding_of_places(const fb_part_of_step *part)
+{
+    const fb_stepper *const s = &part->run->stepper;
+    return 2.0 * DBL_EPSILON * fabs((s->problem->clock.origin + s->t) / ((part->end - part->begin) * s->h));
+}
+
 /* The series of an event function in a part by its points for degree n: returns n, or 0 for a function without roots,
  * or -1 if it is not known. */
-static inline int fb_series_of(const fb_run *r, const int i, const int n, fb_series *series)
+static inline int fb_series_of(const fb_part_of_step *part, const int i, const int n, fb_series *series)
 {
+    const fb_run *const r = part->run;
     const fb_watch *const watch = &r->watch;
     const int quantity = watch->events[i].quantity;
-    double values[FB_MOST_DEGREE + 1], largest = 0.0;
+    double values[FB_MOST_DEGREE + 1], slope[FB_MOST_DEGREE + 1], largest = 0.0;
     for (int j = 0; j <= n; ++j) {
         values[j] = watch->values[j * (FB_MOST_DEGREE / n) * watch->n_events + i];
         largest = fmax(largest, fabs(values[j]));
     }
+    if (!(largest <= FB_LARGEST_VALUE))
+        return -1;
     fb_chebyshev_fit(n, values, series->c);
     /* Times and states are polynomials of degree 7 at most, besides those of methods with a step control of their own.
      */
     const int is_known = (quantity == FB_WATCHED_TIME || quantity == FB_WATCHED_STATE) && !r->stepper.method->advance;
     const double last = (is_known ? 0.0 : fabs(series->c[n - 1])) + fabs(series->c[n]);
-    series->n = n;
-    series->error = last + FB_ROUNDING_RTOL * largest;
     if (fabs(series->c[0]) > fb_chebyshev_range(n, series->c) + FB_SERIES_MARGIN * last)
         return 0;
+    fb_chebyshev_slope(n, series->c, slope);
+    const double range = fb_chebyshev_range(n - 1, slope), steepest = fabs(slope[0]) + range;
+    series->n = n;
+    series->error = last + FB_ROUNDING_RTOL * largest + fb_rounding_of_places(part) * steepest;
     if (last <= FB_SERIES_RTOL * largest)
         return n;
     /* Where a slope that is known well enough keeps its sign, there is one root at most: T_k' is k^2 at most. */
-    double slope[FB_MOST_DEGREE + 1];
-    fb_chebyshev_slope(n, series->c, slope);
-    const double slope_error = 4.0 * n * n * FB_SERIES_MARGIN * last;
-    return fabs(slope[0]) > fb_chebyshev_range(n - 1, slope) + slope_error ? n : -1;
+    return fabs(slope[0]) > range + 4.0 * n * n * FB_SLOPE_MARGIN * last ? n : -1;
 }
 
 /* Whether the interpolant differs from the states at the ends of the step: that of a method with a step control of its
@@ -276,67 +295,84 @@ static inline int fb_know_part(const fb_part_of_step *part)
         }
         for (int i = 0; i < n_events; ++i)
             if (watch->events[i].degree < 0) {
-                watch->events[i].degree = fb_series_of(r, i, n, &series);
+                watch->events[i].degree = fb_series_of(part, i, n, &series);
                 open -= watch->events[i].degree >= 0;
             }
     }
     return status < 0 ? status : open == 0;
 }
 
-/* The root of the part's event function near that of its series, where it crosses zero: by the slope of the series
- * first, then by secants. Returns whether they converge: the error of a secant's root is about the product of the last
- * two changes over the length in which the slope changes, which is not shorter than that of the crossing. */
+/* The root of the part's event function near that of its series, where its values at both ends of the crossing have
+ * different signs: by the slope of the series, then by a secant, whose change is doubled so that it passes the root.
+ * Returns 0 if it does not. */
 static inline int fb_solve_near_series(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series,
-                                       double *root)
+                                       const double at_a, double *root)
 {
     const double a = crossing->low, b = crossing->high;
     const double near_a = fb_chebyshev_value(series->n, series->c, a);
     const double near_b = fb_chebyshev_value(series->n, series->c, b);
-    double slopes[FB_MOST_DEGREE + 1], at_old, at;
+    const double least = 4.0 * (DBL_EPSILON + fb_rounding_of_places(part));
+    double slope[FB_MOST_DEGREE + 1], old = a, at_old, at, at_far;
     if (!fb_is_bracket(near_a, near_b))
         return 0;
-    double old = a;
     fb_solve_bracketed(fb_value_of_series, series, a, near_a, b, near_b, &old);
     int status = fb_value_in_part(part, old, &at_old);
-    fb_chebyshev_slope(series->n, series->c, slopes);
-    double y = old - at_old / fb_chebyshev_value(series->n - 1, slopes, old);
-    for (int i = 0; i < FB_MOST_SECANTS && status >= 0 && y >= a && y <= b; ++i) {
-        const double change = y - old;
-        double next = y;
-        if (fabs(change) > 4.0 * DBL_EPSILON) { /* otherwise it consists of rounding errors */
-            status = fb_value_in_part(part, y, &at);
-            next = at == 0.0 ? y : y - at * change / (at - at_old);
-        }
-        if (status >= 0 && next >= a && next <= b && fabs(next - y) <= fabs(change) &&
-            fabs((next - y) * change) <= DBL_EPSILON * (b - a)) {
-            *root = next;
-            return 1;
-        }
-        old = y;
-        at_old = at;
-        y = next;
-    }
-    return status < 0 ? status : 0;
+    fb_chebyshev_slope(series->n, series->c, slope);
+    const double y = old - at_old / fb_chebyshev_value(series->n - 1, slope, old);
+    if (status < 0 || !(y >= a && y <= b))
+        return status < 0 ? status : 0;
+    status = fb_value_in_part(part, y, &at);
+    *root = y;
+    if (status < 0 || at == 0.0)
+        return status < 0 ? status : 1;
+    const double change = fabs(2.0 * at * (y - old) / (at - at_old));
+    const double length = change > least ? change : least; /* also if it is NaN */
+    const double far = (at > 0.0) == (at_a > 0.0) ? fmin(y + length, b) : fmax(y - length, a);
+    status = fb_value_in_part(part, far, &at_far);
+    if (status < 0 || !fb_is_bracket(at, at_far))
+        return status < 0 ? status : 0;
+    if (length > fmax(FB_ROOT_ATOL, least))
+        status = fb_solve_bracketed(fb_value_in_part, part, y, at, far, at_far, root);
+    else
+        *root = y + (far - y) * (at / (at - at_far));
+    return status < 0 ? status : 1;
 }
 
-/* A root of the part's event function where it crosses zero. */
+/* A root of the part's event function where it crosses zero by its series, or by its values at points. Returns 0 if it
+ * has the same sign at both ends of the crossing. */
 static inline int fb_solve_for_root(fb_part_of_step *part, const fb_crossing *crossing, fb_series *series, double *root)
 {
     const double a = crossing->low, b = crossing->high;
     double at_a, at_b;
     *root = a;
-    if (a == b || (fb_fraction(part, a) == 0.0 && part->run->watch.events[part->event].value == 0.0))
-        return 0;
-    int status = series ? fb_solve_near_series(part, crossing, series, root) : 0;
-    if (status != 0)
-        return status < 0 ? status : 0;
-    status = fb_value_in_part(part, a, &at_a);
+    if (a == b)
+        return 1;
+    int status = fb_value_in_part(part, a, &at_a);
     if (status < 0 || at_a == 0.0)
-        return status;
+        return status < 0 ? status : 1;
     status = fb_value_in_part(part, b, &at_b);
     if (status < 0 || !fb_is_bracket(at_a, at_b))
-        return status;
-    return fb_solve_bracketed(fb_value_in_part, part, a, at_a, b, at_b, root);
+        return status < 0 ? status : 0;
+    status = series ? fb_solve_near_series(part, crossing, series, at_a, root) : 0;
+    if (status == 0)
+        status = fb_solve_bracketed(fb_value_in_part, part, a, at_a, b, at_b, root);
+    return status < 0 ? status : 1;
+}
+
+/* Whether a function touches zero at a place where its series does: its value is small beside those next to it. */
+static inline int fb_touches_zero(fb_part_of_step *part, const double y)
+{
+    double at, beside;
+    int status = fb_value_in_part(part, y, &at);
+    for (int side = -1; side <= 1 && status >= 0; side += 2) {
+        const double there = y + side * FB_BESIDE;
+        if (fabs(there) > 1.0)
+            continue;
+        status = fb_value_in_part(part, there, &beside);
+        if (status >= 0 && !(fabs(at) <= FB_BESIDE * fabs(beside)))
+            return 0;
+    }
+    return status < 0 ? status : 1;
 }
 
 /* Stores an event, in the order of times. */
@@ -395,28 +431,33 @@ static inline int fb_find_events_of(fb_part_of_step *part)
     fb_run *const r = part->run;
     fb_watch *const watch = &r->watch;
     fb_event *const e = watch->events + part->event;
-    const int ends = part->end == 1.0 && r->stepper.t == r->t_bound;
-    const double at_end = part->end == 1.0 ? watch->ends[part->event] : watch->values[part->event];
-    const double end = ends && fabs(at_end) <= FB_ROUNDING_RTOL * fabs(e->value) ? 0.0 : at_end;
+    const double end = part->end == 1.0 ? watch->ends[part->event] : watch->values[part->event];
     fb_series series;
     fb_walk walk;
     fb_begin_walk(&walk, e->sign, e->at_start, fmax(e->left, e->mismatch));
     fb_walk_to(&walk, -1.0, e->value, 0.0);
     if (e->degree > 0) {
-        fb_series_of(r, part->event, e->degree, &series);
+        fb_series_of(part, part->event, e->degree, &series);
         fb_walk_along(&walk, &series);
     }
     for (int j = FB_MOST_DEGREE - 1; e->degree < 0 && j > 0; --j)
         fb_walk_to(&walk, fb_cosines[j], watch->values[j * watch->n_events + part->event], 0.0);
     fb_walk_to(&walk, 1.0, end, 0.0);
     for (int k = 0; k < walk.n; ++k) {
-        const fb_crossing *const crossing = walk.found + k;
+        fb_crossing *const crossing = walk.found + k;
+        fb_series *const known = e->degree > 0 ? &series : NULL;
         double root;
         if (e->direction * crossing->sign < 0)
             continue;
-        const int status = fb_solve_for_root(part, crossing, e->degree > 0 ? &series : NULL, &root);
+        int status = fb_solve_for_root(part, crossing, known, &root);
+        if (status == 0 && walk.n == 1) { /* the signs at the ends of the part decide */
+            *crossing = (fb_crossing){-1.0, 1.0, crossing->sign};
+            status = fb_solve_for_root(part, crossing, known, &root);
+        }
         if (status < 0)
             return status;
+        if (status == 0)
+            continue;
         if (k == 0 && e->begins && fb_is_at_start(r, fb_fraction(part, root)))
             continue;
         const int jumps = crossing->low == crossing->high && e->jumps;
@@ -431,9 +472,12 @@ static inline int fb_find_events_of(fb_part_of_step *part)
         e->left = 0.0;
     e->at_start &= walk.sign == 0;
     e->begins = 0;
-    if (walk.touched == walk.touched)
+    const int touches = walk.touched == walk.touched ? fb_touches_zero(part, walk.touched) : 0;
+    if (touches < 0)
+        return touches;
+    if (touches)
         e->touched = fb_time_of_fraction(&r->stepper, fb_fraction(part, walk.touched));
-    e->change = fabs(end - e->value);
+    e->change = isfinite(end - e->value) ? fabs(end - e->value) : 0.0;
     e->sign = walk.sign;
     e->value = end;
     return 0;
@@ -489,12 +533,13 @@ static inline int fb_excludes_events(fb_run *r)
 {
     const fb_watch *const watch = &r->watch;
     const double *const begin = watch->values + FB_MOST_DEGREE * watch->n_events;
+    const fb_part_of_step whole = {r, 0.0, 1.0, 0};
     fb_series series;
     for (int i = 0; i < watch->n_events; ++i) {
         const fb_event *const e = watch->events + i;
         const int sign = e->sign != 0 ? e->sign : (begin[i] > 0.0) - (begin[i] < 0.0);
         if (e->left > 0.0 || !(begin[i] * sign > 0.0 && watch->ends[i] * sign > 0.0) ||
-            fb_series_of(r, i, FB_LEAST_DEGREE, &series) != 0)
+            fb_series_of(&whole, i, FB_LEAST_DEGREE, &series) != 0)
             return 0;
     }
     for (int i = 0; i < watch->n_events; ++i) {

@@ -20,7 +20,7 @@ from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
 from fourbar_codegen.roles import METHODS, VECTORS
-from fourbar_codegen.simulation.events import EventLike, event_row, listed_events
+from fourbar_codegen.simulation.events import EventLike, event_row, listed_events, without_callables
 
 __all__ = ["export_c", "export_fmu"]
 
@@ -167,10 +167,7 @@ def export_fmu(
     for each in wanted:
         one_of(each, names, "quantity")
     one_of(method, METHODS, "method")
-    watched = listed_events(events)
-    for event in watched:
-        if callable(event.function):
-            raise ModelError("An event of an FMU is the name of one of its variables, not a callable.")
+    watched = without_callables(listed_events(events), "an FMU")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)
         layout = generated.layout

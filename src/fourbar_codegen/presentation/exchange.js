@@ -236,7 +236,7 @@ const simulate = async (options = {}) => {
   const from = guesses ? {...pointOf(chosen), x: guess} : beginningOf(mode);
   const run = await scriptEngine.ask("run", {...requestOf(chosen, from, at), method: data.methods[method],
     rtol, atol});
-  const found = data.events.map((_, number) => run.events.filter(({event}) => event === number));
+  const found = data.events.map((_, number) => foundOf(run, number));
   return {t: Array.from(run.times), y: data.states.map((_, k) => Array.from(columnOf(run, k))),
     t_events: found.map(each => each.map(({t}) => t)), y_events: found.map(each => each.map(({x}) => x)),
     success: run.status === 0, status: run.status !== 0 ? -1 : run.ended_by < 0 ? 0 : 1, nfev: run.evaluations,

@@ -266,7 +266,7 @@ const eventCells = data.events.map(({name}) => {
   return [make("td", {}, row), make("td", {}, row)];
 });
 const drawEvents = () => eventCells.forEach(([count, at], number) => {
-  const times = shownRun.events.filter(({event}) => event === number).map(({t}) => digits(t));
+  const times = foundOf(shownRun, number).map(({t}) => digits(t));
   count.textContent = times.length;
   at.textContent = [...times.slice(0, TIMES_SHOWN), ...times.length > TIMES_SHOWN ? ["..."] : []].join(", ");
 });

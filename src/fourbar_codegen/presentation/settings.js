@@ -62,5 +62,8 @@ const requestOf = (settings, from, times = framesBetween(...settings.t_span)) =>
   ({...pointOf(settings, from.x), from, end: settings.t_span[1], method: data.methods[data.method],
     rtol: data.rtol, atol: data.atol, times, events: data.events.map(({numbers}) => numbers)});
 
+// What was found of an event in a run.
+const foundOf = (run, number) => run.events.filter(({event}) => event === number);
+
 // Values of a column over a run.
 const columnOf = (run, k) => Float64Array.from({length: run.n}, (_, i) => run.rows[i * run.length + k]);

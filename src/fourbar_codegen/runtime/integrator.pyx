@@ -1120,43 +1120,41 @@ cdef class Run:
         cdef double t = self.origin + since
         return min(max(t, min(self.t_begin, self.t_bound)), max(self.t_begin, self.t_bound))
 
-    cdef double _within(self, double share):
-        """The run's time at a fraction of the last step."""
-        return self.run.stepper.t if share == 1.0 else self.run.stepper.t_old + share * self.run.stepper.h
-
     def time_within(self, double share):
         """The time at a fraction of the last step."""
-        return self._at(self._within(share))
+        return self._at(fb_time_of_fraction(&self.run.stepper, share))
 
     def state_within(self, double share):
         """The state at a fraction of the last step, shape (n_x,)."""
         cdef cnp.ndarray x = new_array(self.run.stepper.n)
-        self.ode.check(fb_state_at(&self.run.stepper, self._within(share), data(x)))
+        self.ode.check(fb_state_at(&self.run.stepper, fb_time_of_fraction(&self.run.stepper, share), data(x)))
         return x
 
     def rates_within(self, double share):
         """x' at a fraction of the last step, shape (n_x,): at its ends, that on the side of the step."""
-        return self.ode(self._within(share), self.state_within(share))
+        return self.ode(fb_time_of_fraction(&self.run.stepper, share), self.state_within(share))
 
     def sensitivity_within(self, double share):
         """The derivatives at a fraction of the last step, shape (n_x, n)."""
         cdef cnp.ndarray x = self.state_within(share), s = new_array(self.forward.size)
+        cdef fb_stepper *stepper = &self.run.stepper
         self.ode.check(fb_forward_at(
-            &self.run.stepper, &self.forward, self._within(share), FB_LAST_ANY, data(x), data(s)))
+            stepper, &self.forward, fb_time_of_fraction(stepper, share), FB_LAST_ANY, data(x), data(s)))
         return _by_directions(s[np.newaxis], &self.forward, self.run.stepper.n, self.directions)[..., 0].T
 
     def event_values_within(self, double share):
         """The event functions at a fraction of the last step, shape (n_events,)."""
         cdef cnp.ndarray x = self.state_within(share)
         cdef cnp.ndarray values = new_array(self.run.watch.n_events)
-        self.ode.check(fb_event_values(&self.run, self._within(share), data(x), FB_ALL_EVENTS, data(values)))
+        cdef double since = fb_time_of_fraction(&self.run.stepper, share)
+        self.ode.check(fb_event_values(&self.run, since, data(x), FB_ALL_EVENTS, data(values)))
         return values
 
     def stop_within(self, double share):
         """End the run at a fraction of the last step: the state there is the last one, and the last sample."""
         cdef double t = self.time_within(share)
         cdef cnp.ndarray since
-        self.ode.check(fb_stop_within(&self.run, self._within(share)))
+        self.ode.check(fb_stop_within(&self.run, fb_time_of_fraction(&self.run.stepper, share)))
         self.t_bound = t
         if self.times is not None:
             taken = self.n_taken + self.run.samples.n
@@ -1384,6 +1382,7 @@ cdef class Stepper:
     cdef object events
     cdef readonly list t_events
     cdef readonly list y_events
+    cdef bint has_found  # whether there may be any
     cdef fb_source *sources
     cdef double h, t_begin
     cdef tuple jumps
@@ -1428,6 +1427,7 @@ cdef class Stepper:
     def __setstate__(self, state):
         self.run.stepper.t, events, self.run.watch.ended_by, self.t_events, self.y_events = state
         self._restore_events(events)
+        self.has_found = True
 
     def __dealloc__(self):
         PyMem_Free(self.sources)
@@ -1541,7 +1541,8 @@ cdef class Stepper:
         stepper.problem.clock.first, stepper.problem.clock.last = -INFINITY, INFINITY
         if status == FB_OK:
             self.n_passed = passed.n
-            self._list_events(found)
+            if found or self.has_found:
+                self._list_events(found)
         else:  # as it was
             memcpy(stepper.x, data(start), stepper.n * sizeof(double))
             stepper.t, run.watch.ended_by = t_old, -1
@@ -1575,7 +1576,7 @@ cdef class Stepper:
     cdef _list_events(self, found):
         """Set the times and states of the events found in a step."""
         cdef int i, n_x = self.run.stepper.n
-        self.t_events, self.y_events = [], []
+        self.t_events, self.y_events, self.has_found = [], [], len(found) > 0
         for i in range(len(self.events)):
             self.t_events.append(np.array([t for k, t, _ in found if k == i]))
             self.y_events.append(np.array([x for k, _, x in found if k == i]).reshape(-1, n_x))

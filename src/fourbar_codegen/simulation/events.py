@@ -37,6 +37,7 @@ __all__ = [
     "named_events",
     "touched",
     "watched_quantity",
+    "without_callables",
 ]
 
 Floats = NDArray[np.float64]
@@ -123,6 +124,16 @@ def listed_events(given: Any) -> list[Event]:
     return found
 
 
+def without_callables(events: list[Event], what: str) -> list[Event]:
+    """The same events, for what contains no Python; a ModelError if one of them is a callable."""
+    if any(callable(event.function) for event in events):
+        raise ModelError(
+            f"An event of {what} is the name of a quantity, not a callable, which cannot be put into a file: make the "
+            "function an output of the model."
+        )
+    return events
+
+
 def watched_quantity(model: Kernel, name: str) -> tuple[Watched, int]:
     """A scalar quantity by its name in `Trajectory.columns`, where names of states, inputs and outputs come first.
 
@@ -175,12 +186,7 @@ def named_events(model: Kernel, events: Any, what: str) -> list[tuple[str, Event
     ModelError
         If one of them is a callable, or the name of no quantity.
     """
-    found = events_of(model, events) or []
-    if any(callable(event.function) for event in found):
-        raise ModelError(
-            f"An event of {what} is the name of a quantity: a callable cannot be put into a file. Make the function an "
-            "output of the model."
-        )
+    found = without_callables(events_of(model, events) or [], what)
     return [(str(event.function), row) for event, row in zip(found, event_rows(model, found), strict=True)]
 
 

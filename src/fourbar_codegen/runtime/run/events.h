@@ -13,19 +13,17 @@
 #include "roots.h"
 #include "run.h"
 
-/* A series is known if its last two coefficients are below this fraction of its values. A root is excluded before that
- * if so many times these coefficients do not suffice for one, or a second one if they do not for a zero of the slope.
- */
+/* A series is known if its last two coefficients are below this fraction of its values. Before that, roots are excluded
+ * if so many times these coefficients do not suffice for one, and a second root if that many of the next number do not
+ * for a zero of the slope. */
 #define FB_SERIES_RTOL 1e-13
 #define FB_SERIES_MARGIN 100.0
+#define FB_SLOPE_MARGIN 300.0
 
 /* Rounding errors, relative to a function's terms or to times; and the relative change of t and x by which the size of
  * these terms is found. */
 #define FB_ROUNDING_RTOL (64.0 * DBL_EPSILON)
 #define FB_TERM_CHANGE 1e-6
-
-/* A margin like that, for the slope. */
-#define FB_SLOPE_MARGIN 300.0
 
 /* Values above this may have series that are not finite. */
 #define FB_LARGEST_VALUE 1e300

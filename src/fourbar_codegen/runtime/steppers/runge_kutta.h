@@ -118,7 +118,7 @@ static inline double fb_enter_part(fb_stepper *s, const double h, const double t
     return s->t == t_old && segment.t_bound == t_new ? h : segment.t_bound - s->t;
 }
 
-/* The same across breakpoints, which divide the step. */
+/* A step of length h to t_new across breakpoints, which divide it, as `fb_fixed_step`. */
 static inline int fb_fixed_step_across(fb_stepper *s, const double h, const double t_new, fb_next_segment *next,
                                        void *of)
 {

@@ -13,6 +13,7 @@ import fourbar_codegen as fb
 from fourbar_codegen.dynamics.formation import form_equations
 from fourbar_codegen.lowering.lower import lower
 from fourbar_codegen.lowering.schedule import schedule
+from fourbar_codegen.simulation import ensemble_run
 
 T = np.linspace(0.0, 4.0, 9)
 STIFFNESS = np.linspace(2.0, 4.0, 13)
@@ -189,17 +190,32 @@ def test_ensembles_without_events_have_none(four_bar):
     assert four_bar.ensemble((0.0, 0.1), events=[]).t_events == []
 
 
-def test_joblib_runs_members_with_events(four_bar):
+def test_joblib_runs_members_with_events(four_bar, monkeypatch):
     from joblib import Parallel
 
+    monkeypatch.setattr(ensemble_run, "BLOCK", 3)
     how = {"parameters": {"k": STIFFNESS}, "events": ["u1", fb.Event("q1", terminal=1)], "t_eval": T}
     ensemble = four_bar.ensemble((0.0, 4.0), **how)
     found = four_bar.ensemble(
         (0.0, 4.0), parallel=Parallel(2, return_as="generator_unordered", prefer="threads"), **how
     )
-    for k in range(2):
-        for one, other in zip(ensemble.t_events[k], found.t_events[k], strict=True):
-            np.testing.assert_array_equal(one, other)
+    assert len(ensemble) > 6
+    np.testing.assert_array_equal(found.events, ensemble.events)
+
+
+def test_rows_of_events_are_sorted_by_event_member_and_time(four_bar):
+    """Members with a callable run one by one, the others in lanes."""
+    for first in ("u1", lambda t, x: x[3]):
+        ensemble = four_bar.ensemble((0.0, 4.0), parameters={"k": STIFFNESS}, events=[first, "q1"], rtol=1e-8)
+        rows = ensemble.events
+        assert ensemble.n_events == 2
+        assert rows.shape == (sum(len(times) for of in ensemble.t_events for times in of), 3 + len(four_bar.states))
+        np.testing.assert_array_equal(np.lexsort((rows[:, 2], rows[:, 0], rows[:, 1])), np.arange(len(rows)))
+        for member in (0, len(STIFFNESS) - 1):
+            of_first = rows[(rows[:, 0] == member) & (rows[:, 1] == 0)]
+            run = four_bar.simulate((0.0, 4.0), parameters={"k": STIFFNESS[member]}, events="u1", rtol=1e-8)
+            np.testing.assert_allclose(of_first[:, 2], run.t_events[0], rtol=0, atol=1e-12)
+            np.testing.assert_allclose(of_first[:, 3:], run.y_events[0], rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize("method", ["CVODE", "IDA", "Radau"])

@@ -157,6 +157,7 @@ def _macros(scheduled: Schedule) -> str:
         "FB_STATES_NEED_MULTIPLIERS": program.states_need_multipliers,
         "FB_OUTPUTS_IN_LANES": any(f.role is Role.OUTPUT and f.is_vectorized for f in program.functions),
         "FB_OUTPUTS_NEED_SOLUTION": program.outputs_need_solution,
+        "FB_OUTPUTS_NEED_INPUTS": program.outputs_need_inputs,
     }
     return "".join(f"#define {macro}\n" for macro, is_told in told.items() if is_told)
 

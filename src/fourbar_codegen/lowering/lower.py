@@ -124,7 +124,8 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
         factors=factors,
         states_need_solution=e.tape.depends(state_rates, (*v.accelerations, *v.multipliers)),
         states_need_multipliers=states_need_multipliers,
-        outputs_need_solution=e.tape.depends(e.outputs.entries, (*v.accelerations, *v.multipliers)),
+        outputs_need_solution=(outputs_need := e.tape.depends(e.outputs.entries, (*v.accelerations, *v.multipliers))),
+        outputs_need_inputs=outputs_need or e.tape.depends(e.outputs.entries, v.inputs),
         forces_are_linear=e.driving_forces.are_linear,
     )
 

@@ -280,8 +280,8 @@ class Program:
         For recursive equations, the factors of M in `dynamics`; None for others.
     states_need_solution, states_need_multipliers : bool
         Whether state equations contain u' or multipliers; whether they contain multipliers.
-    outputs_need_solution : bool
-        Whether outputs contain u' or multipliers.
+    outputs_need_solution, outputs_need_inputs : bool
+        Whether outputs contain u' or multipliers; whether they depend on inputs.
     forces_are_linear : bool
         Whether the equations are linear in the unknown forces that drive the motion.
     """
@@ -297,6 +297,7 @@ class Program:
     states_need_solution: bool
     states_need_multipliers: bool
     outputs_need_solution: bool
+    outputs_need_inputs: bool
     forces_are_linear: bool
 
     @property

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
+import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -39,8 +41,11 @@ class Ensemble:
         Times, s.
     y : ndarray, shape (n, n_x, n_t)
         ``y[i]`` contains the states of member i, as in a `Trajectory`; NaN after its end.
-    t_events, y_events : list of list of ndarray, or None
-        ``t_events[k][i]`` has the times of event k in member i, ``y_events[k][i]`` the states, shape (n_events, n_x).
+    n_events : int or None
+        The number of events asked for.
+    events : ndarray, shape (n_found, 3 + n_x)
+        A row for each occurrence: the member, the number of the event, the time (s), and the state; sorted by events,
+        members and times. `t_events` and `y_events` have them by event and member.
     status : ndarray of int, shape (n,)
         As in a `Trajectory`: 0 for members that reached the end of the time span, 1 for those that a terminal event
         ended, -1 for those that failed.
@@ -66,8 +71,8 @@ class Ensemble:
     model: Kernel
     t: Floats
     y: Floats
-    t_events: list[list[Floats]] | None
-    y_events: list[list[Floats]] | None
+    n_events: int | None
+    events: Floats
     status: NDArray[np.int_]
     messages: tuple[str, ...]
     nfev: NDArray[np.int_]
@@ -121,6 +126,25 @@ class Ensemble:
             y_events=y_events, nfev=int(self.nfev[member]), njev=0, nlu=0, status=status, success=status >= 0,
             message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
+
+    @cached_property
+    def t_events(self) -> list[list[Floats]] | None:
+        """For each event k and member i its times ``t_events[k][i]``, s; None if events were not asked for."""
+        return self._by_event_and_member(self.events[:, 2])
+
+    @cached_property
+    def y_events(self) -> list[list[Floats]] | None:
+        """For each event k and member i the states ``y_events[k][i]`` at its times, shape (n_times, n_x), or None."""
+        return self._by_event_and_member(self.events[:, 3:])
+
+    def _by_event_and_member(self, columns: Floats) -> list[list[Floats]] | None:
+        if self.n_events is None:
+            return None
+        n = len(self)
+        places = self.events[:, 1].astype(int) * n + self.events[:, 0].astype(int)
+        ends = np.cumsum(np.bincount(places, minlength=self.n_events * n)).tolist()
+        parts = [columns[begin:end] for begin, end in itertools.pairwise([0, *ends])]
+        return [parts[k * n : (k + 1) * n] for k in range(self.n_events)]
 
     @property
     def success(self) -> NDArray[np.bool_]:

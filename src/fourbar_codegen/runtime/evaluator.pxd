@@ -63,7 +63,7 @@ cdef extern from "fourbar_kernel.h":
         int n_roles
         int64_t work_size
         int n_q, n_u, n_z, n_x, n_p, n_r, n_h, n_c, n_l, n_i, n_o, n_breakpoints, n_conditions, n_constants
-        int states_need_solution, outputs_need_solution
+        int states_need_solution, outputs_need_solution, outputs_need_inputs
         void (*prepare)(const double *, double *) noexcept nogil
         void (*default_inputs)(double, const double *, double *) noexcept nogil
         fb_evaluation *rhs

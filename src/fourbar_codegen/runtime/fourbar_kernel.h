@@ -16,7 +16,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
-#define FB_ABI_VERSION 25
+#define FB_ABI_VERSION 26
 #define FB_CAPSULE_NAME "fourbar_codegen.kernel"
 
 /* Long functions are printed in parts, which the compiler must not inline. */
@@ -95,6 +95,7 @@ typedef struct fb_kernel {
     int32_t n_x;           /* all of these */
     int32_t n_p, n_r;
     int32_t states_need_solution, outputs_need_solution; /* whether z', and outputs, contain u' or lambda */
+    int32_t outputs_need_inputs;                         /* whether outputs depend on r */
     int32_t n_h;                                         /* position constraints */
     int32_t n_c;                                         /* velocity constraints */
     int32_t n_l;           /* multipliers: n_c, then unknown forces that drive the motion */

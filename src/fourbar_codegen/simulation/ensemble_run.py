@@ -72,11 +72,10 @@ def run(
     # disable=None: no progress bar without a terminal.
     with tqdm(total=n, desc=model.name, unit="run", delay=QUIET_SECONDS, disable=None if shows_bar else True) as bar:
         found = _on_threads(runs, workers, bar) if parallel is None or not n else _on_engine(runs, parallel, bar)
-    has_events = options.events is not None
     return Ensemble(
-        model=model, t=options.t_eval, y=found.y, t_events=found.t_events if has_events else None,
-        y_events=found.y_events if has_events else None, status=found.status, messages=tuple(found.messages),
-        nfev=found.nfev, parameters=p, inputs=inputs, settings=options.settings(),
+        model=model, t=options.t_eval, y=found.y, n_events=None if options.events is None else len(options.events),
+        events=found.events, status=found.status, messages=tuple(found.messages), nfev=found.nfev, parameters=p,
+        inputs=inputs, settings=options.settings(),
     )  # fmt: skip
 
 
@@ -150,16 +149,13 @@ def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
 
 
 class _Results(NamedTuple):
-    """Samples, statuses, messages and numbers of evaluations of all members; for each event its times and states in
-    each member.
-    """
+    """Samples, statuses, messages and numbers of evaluations of all members, and the rows of an `Ensemble`'s events."""
 
     y: Floats
     status: NDArray[np.int_]
     messages: list[str]
     nfev: NDArray[np.int_]
-    t_events: list[list[Floats]]
-    y_events: list[list[Floats]]
+    events: Floats
 
 
 @dataclass(frozen=True)
@@ -190,7 +186,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
     y: Floats | None = None
     status, nfev, messages = np.full(n, -1), np.zeros(n, dtype=int), [REACHED_END] * n
     events = options.events or []
-    t_events, y_events = ([[np.empty(shape)] * n for _ in events] for shape in (0, (0, model.n_x)))
+    occurred = [np.empty((0, 3 + model.n_x))]
     rows = event_rows(model, events)
     stopped = threading.Event()
 
@@ -210,7 +206,8 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
         y[member, :, :n_samples] = found.y[:, :n_samples]
         status[member], messages[member], nfev[member] = found.status, found.message, found.nfev
         for k, (times, states) in enumerate(zip(found.t_events or (), found.y_events or (), strict=True)):
-            t_events[k][member], y_events[k][member] = times, states
+            if times.size:
+                occurred.append(np.column_stack((np.full(len(times), member), np.full(len(times), k), times, states)))
 
     sources = _sources(model, runs.inputs, n)
     called = any(map(callable, (*sources, *(row[1] for row in rows))))
@@ -241,7 +238,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
                 waiting = np.flatnonzero(status < 0)
                 messages[:] = [TERMINATED if ended == 1 else REACHED_END for ended in status.tolist()]
                 if events:
-                    _sort_events(members.found, events, status, t_events, y_events, messages)
+                    occurred.append(_events_in_lanes(members.found, events, status, messages))
                 y[waiting], nfev[waiting] = np.nan, 0
             else:
                 y = np.full((n, model.n_x, len(options.t_eval)), np.nan)
@@ -257,32 +254,18 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
                 task.cancel()
             raise
     assert y is not None
-    return _Results(y, status, messages, nfev, t_events, y_events)
+    found = np.concatenate(occurred)
+    return _Results(y, status, messages, nfev, found[np.lexsort((found[:, 0], found[:, 1]))])
 
 
-def _sort_events(
-    rows: Floats,
-    events: Sequence[Event],
-    status: NDArray[np.int_],
-    t_events: list[list[Floats]],
-    y_events: list[list[Floats]],
-    messages: list[str],
-) -> None:
-    """Take what was found in lanes, unless the member has to run again."""
-    members = rows[:, 0].astype(int)
-    rows, members = rows[status[members] >= 0], members[status[members] >= 0]
-    order = np.argsort(members, kind="stable")
-    rows, members = rows[order], members[order]
-    for k in range(len(events)):
-        mine = rows[:, 1] == k
-        t, y = np.ascontiguousarray(rows[mine, 2]), np.ascontiguousarray(rows[mine, 3:])
-        ends = np.cumsum(np.bincount(members[mine], minlength=len(status))).tolist()
-        for member, (begin, end) in enumerate(itertools.pairwise([0, *ends])):
-            if begin < end:
-                t_events[k][member], y_events[k][member] = t[begin:end], y[begin:end]
+def _events_in_lanes(rows: Floats, events: Sequence[Event], status: NDArray[np.int_], messages: list[str]) -> Floats:
+    """What was found in lanes, unless the member has to run again; messages tell where a function touches zero."""
+    rows = rows[status[rows[:, 0].astype(int)] >= 0]
     touching = rows[:, 1] < 0
-    for member, of in itertools.groupby(rows[touching, :3].tolist(), key=lambda row: int(row[0])):
-        messages[member] += touched([(events[-1 - int(event)], t) for _, event, t in sorted(of, reverse=True)])
+    of_members = sorted(rows[touching, :3].tolist(), key=lambda row: (row[0], -row[1]))
+    for member, of in itertools.groupby(of_members, key=lambda row: int(row[0])):
+        messages[member] += touched([(events[-1 - int(event)], t) for _, event, t in of])
+    return rows[~touching]
 
 
 def _breaks(runs: _Runs) -> Floats | None:
@@ -330,11 +313,13 @@ def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> _Results:
     for number, part in parallel(tasks):  # in order of arrival
         parts[number] = part
         bar.update(len(part.y))
-    y, status, messages, nfev, *events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
-    t_events, y_events = ([[*itertools.chain(*of)] for of in zip(*each, strict=True)] for each in events)
+    y, status, messages, nfev, events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
+    first = np.repeat([block.start for block in blocks], [len(rows) for rows in events])
+    found = np.concatenate(events)
+    found[:, 0] += first
     return _Results(
-        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev), t_events,
-        y_events,
+        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev),
+        found[np.argsort(found[:, 1], kind="stable")],
     )  # fmt: skip
 
 

@@ -92,7 +92,7 @@ static inline void fb_chebyshev_fit(const int n, const double *values, double *r
     for (int k = 0; k <= n; ++k) {
         double sum = 0.5 * (values[0] + (k % 2 ? -values[n] : values[n]));
         for (int j = 1; j < n; ++j) {
-            const int turns = j * k % (2 * n); /* of pi / n */
+            const int turns = j * k & (2 * n - 1); /* of pi / n; n is a power of two */
             sum += values[j] * fb_cosines[(turns > n ? 2 * n - turns : turns) * stride];
         }
         c[k] = (k % n ? 2.0 : 1.0) / n * sum;

@@ -78,6 +78,9 @@ const fb_kernel FB_TABLE(kernel) = {
 #ifdef FB_OUTPUTS_NEED_SOLUTION
     .outputs_need_solution = 1,
 #endif
+#ifdef FB_OUTPUTS_NEED_INPUTS
+    .outputs_need_inputs = 1,
+#endif
     .dynamics = full_dynamics,
     .position = position,
     .velocity = velocity,

@@ -20,15 +20,16 @@ typedef struct fb_lane_clocks {
 
 /* What finds the events of the runs in lanes. */
 typedef struct fb_lane_search {
-    int in_lanes;         /* whether all functions are known in lanes */
-    int needs_inputs;     /* whether some need inputs, ... */
-    int needs_outputs;    /* ... and outputs */
-    double *memory;       /* of the following, and of the arrays of the run alone */
-    double *values;       /* (FB_WIDTH, FB_LEAST_DEGREE + 1, n_events) */
-    fb_event *events;     /* (FB_WIDTH, n_events) */
-    int begins[FB_WIDTH]; /* whether a run has not taken its first step */
-    fb_found_rows *found; /* those of this worker */
-    int failed;           /* without memory */
+    int in_lanes;                       /* whether all functions are known in lanes */
+    int needs_inputs;                   /* whether some need inputs, ... */
+    int needs_outputs;                  /* ... and outputs */
+    double *memory;                     /* of the following, and of the arrays of the run alone */
+    double *values;                     /* (FB_LEAST_DEGREE + 1, n_events, FB_WIDTH) */
+    fb_weights within[FB_LEAST_DEGREE]; /* of the interpolant's coefficients at the points within a step */
+    fb_event *events;                   /* (FB_WIDTH, n_events) */
+    int begins[FB_WIDTH];               /* whether a run has not taken its first step */
+    fb_found_rows *found;               /* those of this worker */
+    int failed;                         /* without memory */
 } fb_lane_search;
 
 typedef struct fb_lanes {
@@ -112,7 +113,7 @@ static inline int fb_lanes_evaluate(const fb_asked *asked, const int row, const 
 #define FB_LARGER(a, b) fb_greater(b, a)
 #define FB_UNIT(value) (1.0 / (value)) /* divisions take long in lanes */
 #define FB_IN_UNITS(value, unit) ((value) * (unit))
-#define FB_AT_ONCE 1
+#define FB_AT_ONCE ((N_X + (N_X + 7) / 8 - 1) / ((N_X + 7) / 8)) /* blocks of one size, of 8 entries at most */
 #define FB_CALLER const fb_asked
 #define FB_EVALUATE(caller, row, t, x) fb_lanes_evaluate(caller, row, t, x)
 #include "../steppers/stages.inc"

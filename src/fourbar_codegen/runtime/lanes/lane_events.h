@@ -2,6 +2,23 @@
  * which most steps have no event; the others are searched as those of a run alone. Included by ensemble.h.
  */
 
+/* The weights of an interpolant's coefficients at the points within a step. */
+static void fb_place_points(fb_lane_search *search, const fb_tableau *m)
+{
+    const int n = m->n_dense + (m->hermite ? 3 : 0);
+    for (int j = 1; j < FB_LEAST_DEGREE; ++j) {
+        double weights[3 + FB_MAX_DENSE];
+        for (int k = 0; k < n; ++k) {
+            double coefficients[3 + FB_MAX_DENSE] = {0.0};
+            const double zero = 0.0;
+            coefficients[k] = 1.0;
+            fb_interpolate(m, coefficients, 1, 1, &zero, 0.5 * (1.0 + fb_chebyshev_point(FB_LEAST_DEGREE, j)),
+                           weights + k);
+        }
+        fb_weights_of(weights, n, search->within + j);
+    }
+}
+
 /* Makes room for the events of all lanes, and of a run alone; returns 0, or -1 without memory. */
 static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run *alone)
 {
@@ -15,7 +32,8 @@ static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run 
     for (int i = 0; i < n; ++i) {
         const int quantity = events->events[i].quantity;
         search->needs_outputs |= quantity == FB_WATCHED_OUTPUT;
-        search->needs_inputs |= quantity != FB_WATCHED_TIME && quantity != FB_WATCHED_STATE;
+        search->needs_inputs |=
+            quantity == FB_WATCHED_INPUT || (quantity == FB_WATCHED_OUTPUT && e->kernel->outputs_need_inputs);
         search->in_lanes &= quantity == FB_WATCHED_TIME || quantity == FB_WATCHED_STATE || quantity == FB_WATCHED_INPUT
 #ifdef FB_OUTPUTS_IN_LANES
                             || quantity == FB_WATCHED_OUTPUT
@@ -35,6 +53,7 @@ static int fb_begin_search(fb_lane_search *search, const fb_ensemble *e, fb_run 
         return -1;
     fb_place_all(places, n_places, search->memory);
     fb_place_events(watch, n, n_scratch, search->memory + placed);
+    fb_place_points(search, e->method);
     return 0;
 }
 
@@ -84,11 +103,12 @@ static void fb_enter_alone(fb_lanes *c, const fb_ensemble *e, const int lane, co
     fb_take_lane(c->equations.constants, lane, N_CONSTANTS, c->equations.lane_constants);
 }
 
-/* The outputs at times and states of all lanes, and the inputs there. */
+/* The outputs and the inputs at times and states of all lanes, where they are needed. */
 static void fb_lanes_outputs(fb_lanes *c, const fb_ensemble *e, const fb_real t, const fb_real *x, fb_real *outputs)
 {
     fb_lane_equations *const s = &c->equations;
-    fb_lanes_inputs(c, e, t);
+    if (c->search.needs_inputs)
+        fb_lanes_inputs(c, e, t);
 #ifdef FB_OUTPUTS_IN_LANES
     if (c->search.needs_outputs) {
         fb_real rates[N_X], multipliers[1] = {fb_number(0.0)};
@@ -111,24 +131,19 @@ static void fb_lanes_event_values(fb_lanes *c, const fb_ensemble *e, const fb_re
                             : j == FB_LEAST_DEGREE ? 0.0
                                                    : 0.5 * (1.0 + fb_chebyshev_point(FB_LEAST_DEGREE, j));
     const fb_real since = c->t + fraction * h;
-    const int n = e->events.n, needs_all = c->search.needs_inputs;
+    const int n = e->events.n;
     fb_real within[N_X], outputs[FB_AT_LEAST_1(N_O)] = {fb_number(0.0)};
-    const fb_real *const x = j == 0 ? end : within;
-    if (needs_all && j > 0)
-        fb_interpolate_lanes(e->method, c->interpolant[0], N_X, N_X, c->x, fb_number(fraction), within);
-    if (needs_all)
-        fb_lanes_outputs(c, e, fb_lanes_time(c, e, since), x, outputs);
+    const fb_real *const x = j == 0 ? end : j == FB_LEAST_DEGREE ? c->x : within;
+    if (x == within)
+        fb_combine_rows_lanes(c->interpolant[0], N_X, c->search.within + j, fb_number(1.0), c->x, within);
+    fb_lanes_outputs(c, e, fb_lanes_time(c, e, since), x, outputs);
     for (int i = 0; i < n; ++i) {
         const int quantity = e->events.events[i].quantity, row = e->events.events[i].row;
-        fb_real values = e->origin + since;
-        if (quantity == FB_WATCHED_STATE && !needs_all && j > 0)
-            fb_interpolate_lanes(e->method, c->interpolant[0] + row, 1, N_X, c->x + row, fb_number(fraction), &values);
-        else if (quantity != FB_WATCHED_TIME)
-            values = quantity == FB_WATCHED_STATE   ? x[row]
-                     : quantity == FB_WATCHED_INPUT ? c->equations.inputs[row]
-                                                    : outputs[row];
-        for (int lane = 0; lane < FB_WIDTH; ++lane)
-            c->search.values[(lane * (FB_LEAST_DEGREE + 1) + j) * n + i] = values[lane];
+        const fb_real values = quantity == FB_WATCHED_TIME    ? e->origin + since
+                               : quantity == FB_WATCHED_STATE ? x[row]
+                               : quantity == FB_WATCHED_INPUT ? c->equations.inputs[row]
+                                                              : outputs[row];
+        memcpy(c->search.values + (j * n + i) * FB_WIDTH, &values, sizeof values);
     }
 }
 
@@ -139,12 +154,12 @@ static int fb_lane_has_no_events(fb_lanes *c, const fb_ensemble *e, const int la
     const int n = e->events.n;
     watch->events = c->search.events + lane * n;
     for (int i = 0; i < n; ++i) {
-        const double *const values = c->search.values + lane * (FB_LEAST_DEGREE + 1) * n + i;
+        const double *const values = c->search.values + i * FB_WIDTH + lane;
         watch->values[FB_MOST_DEGREE * n + i] =
-            c->search.begins[lane] ? values[FB_LEAST_DEGREE * n] : watch->events[i].value;
+            c->search.begins[lane] ? values[FB_LEAST_DEGREE * n * FB_WIDTH] : watch->events[i].value;
         watch->ends[i] = values[0];
         for (int j = 0; j < FB_LEAST_DEGREE; ++j)
-            watch->values[j * (FB_MOST_DEGREE / FB_LEAST_DEGREE) * n + i] = values[j * n];
+            watch->values[j * (FB_MOST_DEGREE / FB_LEAST_DEGREE) * n + i] = values[j * n * FB_WIDTH];
     }
     return e->events.excludes(&c->alone);
 }
@@ -176,8 +191,9 @@ static int fb_find_events_in_lane(fb_lanes *c, const fb_ensemble *e, const int l
         for (int k = 0; k < watch->n_found; ++k) {
             const fb_found *const found = watch->found + k;
             const double t = fb_time_of_fraction(b, found->fraction);
-            fb_state_at(b, t, watch->along);
-            fb_add_found(&c->search, c->member[lane], found->event, t, watch->along);
+            double x[N_X];
+            fb_state_of_event(r, found, x);
+            fb_add_found(&c->search, c->member[lane], found->event, t, x);
             *until = watch->ended_by >= 0 ? t : *until;
         }
     return watch->ended_by >= 0;

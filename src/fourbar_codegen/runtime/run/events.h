@@ -67,8 +67,9 @@ static inline int fb_event_values(fb_run *r, const double since, const double *x
         if (fb_is_asked(watch->events + i, i, which))
             needs |= 1U << watch->events[i].quantity;
     /* States need no inputs, and callables have their own. */
-    const int has_own = !(needs & ~(1U << FB_WATCHED_TIME | 1U << FB_WATCHED_STATE | 1U << FB_WATCHED_CALLABLE));
-    const int called = has_own ? 0 : fb_fill_inputs(p, t, x);
+    const unsigned without_inputs = 1U << FB_WATCHED_TIME | 1U << FB_WATCHED_STATE | 1U << FB_WATCHED_CALLABLE |
+                                    (k->outputs_need_inputs ? 0U : 1U << FB_WATCHED_OUTPUT);
+    const int called = needs & ~without_inputs ? fb_fill_inputs(p, t, x) : 0;
     if (called < 0)
         return called;
     if (needs & (1U << FB_WATCHED_MULTIPLIER) || (needs & (1U << FB_WATCHED_OUTPUT) && k->outputs_need_solution))
@@ -182,9 +183,12 @@ static inline int fb_value_in_part(void *of, const double y, double *value)
         return 0;
     }
     const double t = fb_time_of_fraction(s, fraction);
+    watch->closed_at = NAN;
     int status = fb_state_at(s, t, watch->along);
-    if (status >= 0)
-        status = fb_event_values(part->run, t, watch->along, part->event, watch->polished);
+    if (status < 0)
+        return status;
+    watch->closed_at = fraction;
+    status = fb_event_values(part->run, t, watch->along, part->event, watch->polished);
     *value = watch->polished[part->event];
     return status;
 }
@@ -206,7 +210,7 @@ static inline int fb_series_of(const fb_part_of_step *part, const int i, const i
     double values[FB_MOST_DEGREE + 1], slope[FB_MOST_DEGREE + 1], largest = 0.0;
     for (int j = 0; j <= n; ++j) {
         values[j] = watch->values[j * (FB_MOST_DEGREE / n) * watch->n_events + i];
-        largest = fmax(largest, fabs(values[j]));
+        largest = fabs(values[j]) > largest ? fabs(values[j]) : largest; /* fmax takes longer than the rest */
     }
     if (!(largest <= FB_LARGEST_VALUE))
         return -1;
@@ -310,7 +314,7 @@ static inline int fb_solve_near_series(fb_part_of_step *part, const fb_crossing 
     const double near_a = fb_chebyshev_value(series->n, series->c, a);
     const double near_b = fb_chebyshev_value(series->n, series->c, b);
     const double least = 4.0 * (DBL_EPSILON + fb_rounding_of_places(part));
-    double slope[FB_MOST_DEGREE + 1], old = a, at_old, at, at_far;
+    double slope[FB_MOST_DEGREE + 1], old = a, at_old, at = 0.0, at_far;
     if (!fb_is_bracket(near_a, near_b))
         return 0;
     fb_solve_bracketed(fb_value_of_series, series, a, near_a, b, near_b, &old);
@@ -321,10 +325,10 @@ static inline int fb_solve_near_series(fb_part_of_step *part, const fb_crossing 
         return status < 0 ? status : 0;
     status = fb_value_in_part(part, y, &at);
     *root = y;
-    if (status < 0 || at == 0.0)
+    const double change = fabs(at * (y - old) / (at - at_old)); /* NaN where the function does not change */
+    if (status < 0 || at == 0.0 || change <= least)
         return status < 0 ? status : 1;
-    const double change = fabs(2.0 * at * (y - old) / (at - at_old));
-    const double length = change > least ? change : least; /* also if it is NaN */
+    const double length = change > least ? 2.0 * change : least;
     const double far = (at > 0.0) == (at_a > 0.0) ? fmin(y + length, b) : fmax(y - length, a);
     status = fb_value_in_part(part, far, &at_far);
     if (status < 0 || !fb_is_bracket(at, at_far))
@@ -488,6 +492,7 @@ static inline int fb_find_events(fb_run *r)
     fb_watch *const watch = &r->watch;
     fb_stepper *const s = &r->stepper;
     watch->n_found = 0;
+    watch->closed_at = NAN;
     int status = 0;
     if (watch->searched == 0.0) {
         if (!watch->is_known)

@@ -68,8 +68,9 @@ typedef struct fb_watch {
     void *caller;
     int probes;    /* whether functions are evaluated beside the run, where they may have no value */
     double *along; /* (4, padded): a state within the last step, x' there, the state at a singular position, scratch */
-    int look_at_all; /* whether to examine every step */
-    int is_singular; /* whether the last step passes a singular position */
+    double closed_at; /* the fraction of the step at which `along` is closed, or NaN where nobody asked for that */
+    int look_at_all;  /* whether to examine every step */
+    int is_singular;  /* whether the last step passes a singular position */
     fb_singular singular;
 } fb_watch;
 
@@ -145,5 +146,15 @@ typedef struct fb_run {
     fb_chattering chattering;
     fb_observer *observers; /* the first, or NULL */
 } fb_run;
+
+/* The state at an event of those found last. */
+static inline int fb_state_of_event(fb_run *r, const fb_found *found, double *x)
+{
+    fb_stepper *const s = &r->stepper;
+    if (found->fraction != r->watch.closed_at)
+        return fb_state_at(s, fb_time_of_fraction(s, found->fraction), x);
+    memcpy(x, r->watch.along, (size_t)s->n * sizeof *x);
+    return 0;
+}
 
 #endif

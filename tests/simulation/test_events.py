@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.oscillators import driven_oscillator
 
 import fourbar_codegen as fb
 
@@ -403,6 +404,15 @@ def test_functions_that_decay_have_no_event_at_the_end(oscillator, rate, all_roo
     run = oscillator.simulate((0.0, 1.0), [1.0, 0.0], events=event)
     assert (run.status, len(run.t_events[0])) == (0, 0)
     assert "is zero at t = " not in run.message
+
+
+@pytest.mark.parametrize("start", [0.0, 1e3, 1e6, 1e8])
+def test_a_power_of_time_is_not_zero_beside_its_root_at_late_times(start):
+    """(t - a)^3 is 1e-9 at the end: much more than a rounding error of t, 2e-8 at most, whose cube it would be."""
+    a, t = sm.Symbol("a"), me.dynamicsymbols._t
+    model = fb.compile_model(driven_oscillator(force=0, outputs={"cube": (t - a) ** 3}, parameters={"a": 0.1}))
+    run = model.simulate((start, start + 3.0), parameters={"a": start + 2.999}, events="cube")
+    assert run.t_events[0] - start == pytest.approx([2.999], abs=4.0 * np.spacing(start + 3.0))
 
 
 @pytest.mark.parametrize("root", [0.1, 0.26393, 0.43, 0.9])

@@ -114,8 +114,9 @@ static inline int fb_event_values_at_end(fb_run *r, const int is_begin, double *
         const double now = fabs(j < 0 ? s->problem->clock.origin + s->t : s->x[j]);
         const double term = j < 0 || is_begin ? now : fmax(now, fabs(s->x_old[j])); /* its error is that of the step */
         const double tolerance = j < 0 || !s->atol ? 0.0 : s->atol[j] + s->rtol[j] * term;
-        const double change = FB_TERM_CHANGE * (term + tolerance);
-        double t = s->t;
+        double t = s->t, change = FB_TERM_CHANGE * (term + tolerance);
+        if (j < 0 && !is_begin) /* within the step, but by more than rounding errors */
+            change = fmin(change, fmax(FB_TERM_CHANGE * fabs(s->h), FB_ROUNDING_RTOL * term));
         if (!(change > 0.0))
             continue;
         memcpy(x, s->x, (size_t)s->n * sizeof *x);
@@ -238,6 +239,13 @@ static inline int fb_interpolant_jumps(const fb_stepper *s)
     return s->method->advance != NULL || (s->project && !s->method->projects && !s->tableau->hermite);
 }
 
+/* The state of the interpolant at a time, in `along`. */
+static inline int fb_interpolate_along(fb_run *r, const double t)
+{
+    r->watch.closed_at = NAN;
+    return r->stepper.method->interpolate(&r->stepper, t, r->watch.along);
+}
+
 /* The functions along the interpolant at both ends of a part, as values of their series, if these differ from those of
  * the states there; by how much is stored. */
 static inline int fb_values_of_interpolant(const fb_part_of_step *part, double *first, double *last)
@@ -250,7 +258,7 @@ static inline int fb_values_of_interpolant(const fb_part_of_step *part, double *
         if (!(end ? part->end == 1.0 : part->begin == 0.0))
             continue;
         const double t = end ? s->t : s->t_old;
-        int status = s->method->interpolate(s, t, watch->along);
+        int status = fb_interpolate_along(r, t);
         if (status >= 0)
             status = fb_event_values(r, t, watch->along, FB_ALL_ROOTS, values);
         if (status < 0)
@@ -288,7 +296,7 @@ static inline int fb_know_part(const fb_part_of_step *part)
         const int is_first = n == FB_LEAST_DEGREE, is_known = is_first && is_whole && watch->is_known;
         for (int j = is_first && part->end < 1.0 ? 0 : 1; j < n && !is_known; j += is_first ? 1 : 2) {
             const double t = fb_time_of_fraction(s, fb_fraction(part, fb_chebyshev_point(n, j)));
-            status = s->method->interpolate(s, t, watch->along);
+            status = fb_interpolate_along(r, t);
             if (status >= 0)
                 status = fb_event_values(r, t, watch->along, j == 0 ? FB_ALL_EVENTS : FB_ALL_ROOTS,
                                          watch->values + j * (FB_MOST_DEGREE / n) * n_events);

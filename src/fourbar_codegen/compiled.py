@@ -659,18 +659,20 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,), optional
             Initial state, which must satisfy the constraints (see `initial_state`); by default the one that
             `initial_state` returns for the model's initial values.
-        method : {"DOP853", "RK45", "Tsit5", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"}, optional
+        method : {"DOP853", "RK45", "Tsit5", "Radau", "ALI3P", "RK23", "BDF", "LSODA", "CVODE", "IDA"}, optional
             DOP853, RK45 and Tsit5 are explicit and run in C, with the step size control of SciPy, and its coefficients
             for the first two. Tsit5, of order 5 like RK45, has smaller error coefficients. Source: Ch. Tsitouras,
             "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption", *Computers &
             Mathematics with Applications* 62 (2011). ALI3P passes singular positions: an augmented Lagrangian
             formulation of index 3 with the trapezoidal rule and projections. It runs in C with steps of `max_step`, and
             shorter ones if their equations cannot be solved. At a singular position it follows the branch on which the
-            velocities are continuous, since inertia does not let them jump. RK23 (explicit, with steps in C), Radau and
-            BDF (implicit) and LSODA (with automatic switching between Adams and BDF) are SciPy's, through
-            `fourbar_codegen.solvers`, with the compiled Jacobian for the last three. CVODE (BDF, for stiff problems)
-            and IDA (a differential-algebraic solver) are SUNDIALS', through scikit-sundae (``pip install
-            'fourbar_codegen[dae]'``), with compiled functions.
+            velocities are continuous, since inertia does not let them jump. Radau, for stiff equations, is Radau IIA of
+            order 5 in C, with a Jacobian of each step: the compiled one, or difference quotients where callables or a
+            stabilization are in the equations. Source: E. Hairer, G. Wanner, *Solving Ordinary Differential Equations
+            II*, 2nd ed. 1996, section IV.8. RK23 (explicit, with steps in C), BDF (implicit) and LSODA (with automatic
+            switching between Adams and BDF) are SciPy's, through `fourbar_codegen.solvers`, with the compiled Jacobian
+            for the last two. CVODE (BDF, for stiff problems) and IDA (a differential-algebraic solver) are SUNDIALS',
+            through scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with compiled functions.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
@@ -704,7 +706,7 @@ class CompiledModel(Kernel):
             The longest step, s; required for ALI3P. It must exceed the rounding error of the simulated time.
         max_steps : int, "auto" or None, optional
             The largest number of steps; a run ends after them, with the states up to there. None is no limit. By
-            default 1,000,000 for the methods of `ensemble` and ALI3P, and 100,000 for the others, or ten times the
+            default 1,000,000 for the methods of `ensemble`, and 100,000 for the others, or ten times the
             number that `max_step` requires, if that is more.
         formulation : {"gear-gupta-leimkuhler", "index-1", "index-3"}, optional
             For IDA; the first is the default. It selects what satisfies the constraints in each step: positions and
@@ -717,7 +719,7 @@ class CompiledModel(Kernel):
         sensitivities : sequence of str or symbols, optional
             Parameters; independent coordinates, speeds and auxiliary states, at the beginning; and inputs given as
             numbers or tables, with respect to whose values the states are differentiated: ``trajectory.sensitivity``,
-            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps, of the methods of `ensemble`, are
+            and ``trajectory.sol.sensitivity(t)`` with `dense_output`. The steps, of the explicit methods in C, are
             differentiated as they are taken, with their lengths held. Errors of derivatives limit these as those of
             states do, with ten times the relative tolerances; `atol` counts only for rounding errors. After each
             projection they are moved onto the constraints' tangent; what that leaves out is proportional to the
@@ -730,7 +732,7 @@ class CompiledModel(Kernel):
         dx0 : mapping from some of these names to arrays of shape (n_x,), or (n, n_x) for n values of a table, optional
             The derivatives of a given `x0`, such as those of `initial_state`; with `gradient` by any of these names.
         gradient : bool, optional
-            Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For the methods of `ensemble`.
+            Whether to keep the steps for `Trajectory.gradient`: 8 (n_x + 2) bytes each. For DOP853, RK45 and Tsit5.
             Their lengths are limited by errors of derivatives along arbitrary directions of initial states, parameters
             and inputs.
 
@@ -1165,8 +1167,8 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
             One initial state for all members, or one for each; in a mapping, numbers or arrays of length n. By default,
             `initial_state` is solved for each set of parameters.
-        method : {"DOP853", "RK45", "Tsit5", "ALI3P"}, optional
-            ALI3P runs one member at a time on each core.
+        method : {"DOP853", "RK45", "Tsit5", "Radau", "ALI3P"}, optional
+            Radau and ALI3P run one member at a time on each core.
         parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
             Likewise; the defaults otherwise.
         inputs : mapping of input to source, optional

@@ -5,6 +5,7 @@ import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
+from builders.oscillators import on_a_line
 
 T = me.dynamicsymbols._t
 
@@ -52,3 +53,11 @@ def cartesian():
         state_equations={z: (vy.diff(T) / 10 - z) / tau, w: fb.multiplier(1) * x - w * (1 + z)},
         initial={x: 0.6, y: -0.8, vy: 0.3, z: 0.1, w: 0.2},
     )
+
+
+def first_order(name, rates, start, **more):
+    """Equations y' = rates(y), the auxiliary states y1, y2, ... beside a mass at rest."""
+    y = me.dynamicsymbols(f"y1:{len(start) + 1}")
+    initial = {"x": 0.0, "v": 0.0, **dict(zip(y, start, strict=True))}
+    equations = dict(zip(y, rates(*y), strict=True))
+    return fb.Model(on_a_line(1, 0), name=name, state_equations=equations, initial=initial, **more)

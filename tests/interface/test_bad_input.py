@@ -213,7 +213,7 @@ TABLE = {
         ({"t_span": (0.0, 0.0)}, "t_span"),
         ({"x0": np.zeros((3, 5))}, "x0"),
         ({"x0": np.full((3, 6), np.nan)}, "x0"),
-        ({"method": "Radau"}, "method"),
+        ({"method": "BDF"}, "method"),
         ({"method": np.array(["RK45", "DOP853"])}, "array", "DOP853"),
         ({"parameters": {"k": [1.0, 2.0], "c": [1.0, 2.0, 3.0]}}, "parameter"),
         ({"parameters": {"k": [1.0, 2.0]}, "x0": np.zeros((3, 6))}, "x0"),

@@ -12,7 +12,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
-from fourbar_codegen.roles import METHODS as SWEEP_METHODS
+from fourbar_codegen.roles import METHODS as EXPLICIT
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,11 @@ __all__ = [
     "with_options",
 ]
 
-METHODS = (*SWEEP_METHODS, "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+SWEEP_METHODS = (*EXPLICIT, "Radau", "ALI3P")
+"""Of ensembles."""
+
+METHODS = (*SWEEP_METHODS, "RK23", "BDF", "LSODA", "CVODE", "IDA")
+"""Of single runs."""
 
 MAX_MEMBERS = 1_000_000
 """Largest number of members of a sweep."""
@@ -152,7 +156,7 @@ def _accuracy(constraints: tuple[str, ...]) -> list[Callable[..., Any]]:
         click.option("--max-step", default=math.inf, help="Longest step, s; the step of ALI3P."),
         click.option(
             "--max-steps", default="auto", show_default=True, metavar="N|auto|none", callback=_steps,
-            help=f"Largest number of steps: by default 1,000,000 for {', '.join(SWEEP_METHODS)} and ALI3P, 100,000 for "
+            help=f"Largest number of steps: by default 1,000,000 for {', '.join(SWEEP_METHODS)}, 100,000 for "
             "others, or ten times the number that --max-step requires, if that is more.",
         ),
     ]  # fmt: skip
@@ -166,7 +170,7 @@ _MODEL_AND_PARAMETERS = [
     ),
 ]  # fmt: skip
 
-PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER), _method(SWEEP_METHODS)]
+PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER), _method(EXPLICIT)]
 
 RUN_OPTIONS = [
     *_MODEL_AND_PARAMETERS,

@@ -73,6 +73,13 @@ cdef extern from "steppers/ali3p.h":
         int64_t n_jacobians, n_factorizations
     size_t fb_place_augmented(const fb_kernel *, fb_augmented *, double *) noexcept nogil
 
+cdef extern from "steppers/radau.h":
+    const fb_tableau fb_radau_iia
+    const fb_method fb_radau_method
+    ctypedef struct fb_radau:
+        int64_t n_jacobians, n_factorizations
+    size_t fb_place_radau(int, fb_radau *, double *) noexcept nogil
+
 cdef extern from "run/driver.h":
     int FB_RUN_PAUSED
     ctypedef struct fb_samples:
@@ -643,7 +650,16 @@ cdef dict _METHODS = {method.name: int(method) for method in Method}
 
 cdef const fb_tableau *tableau_of(str method) except NULL:
     """The coefficients of a method in C."""
-    return &fb_trapezoid if method == "ALI3P" else fb_tableaus[<int>_METHODS[method]]
+    if method == "ALI3P":
+        return &fb_trapezoid
+    return &fb_radau_iia if method == "Radau" else fb_tableaus[<int>_METHODS[method]]
+
+
+cdef const fb_method *_steps_of(str method) noexcept:
+    """How a method takes its steps."""
+    if method == "ALI3P":
+        return &fb_augmented_lagrangian
+    return &fb_radau_method if method == "Radau" else &fb_runge_kutta
 
 
 cdef int set_event(fb_event *event, row, int place) except -1:
@@ -844,7 +860,7 @@ cdef class Run:
     ode : Ode
         The right-hand side; nothing else may call it during the run.
     method : str or ForeignMethod
-        Of `Method`, or "ALI3P".
+        Of `Method`, "Radau", or "ALI3P".
     t, t_bound : float
         Beginning and end.
     x : array_like, shape (n_x,)
@@ -868,6 +884,7 @@ cdef class Run:
     cdef fb_run run
     cdef fb_observer differentiates, keeps
     cdef fb_augmented augmented
+    cdef fb_radau radau
     cdef readonly Ode ode
     cdef object method
     cdef readonly object foreign
@@ -900,11 +917,11 @@ cdef class Run:
         cdef fb_stepper *stepper = &run.stepper
         cdef fb_watch *watch = &run.watch
         cdef double *memory
-        cdef const fb_method *steps = &fb_augmented_lagrangian if method == "ALI3P" else &fb_runge_kutta
+        cdef const fb_method *steps
         cdef const fb_tableau *tableau = &fb_trapezoid
         self.ode, self.method, self.kept = ode, method, []
         if type(method) is str:
-            tableau = tableau_of(method)
+            tableau, steps = tableau_of(method), _steps_of(method)
         else:
             self.foreign, steps, stepper.own = method, &_foreign_method, <void *>self
         ode.problem.clock = fb_clock(origin=t, first=-INFINITY, last=INFINITY)
@@ -926,12 +943,25 @@ cdef class Run:
             self.events = events
             self.kept.append(_place_events(watch, ode, events))
             watch.call, watch.caller = _call_event, <void *>self
-        if method == "ALI3P":
-            ode.evaluator.function(FB_STATE_PARTIALS)
-            stepper.own = &self.augmented
-            matrices = np.zeros(fb_place_augmented(ode.evaluator.kernel, &self.augmented, NULL))
-            fb_place_augmented(ode.evaluator.kernel, &self.augmented, <double *>self._keep(matrices))
+        if type(method) is str:
+            self._place_own(method)
         self._make_room(run.samples.n_times if times is not None else 256)
+
+    cdef _place_own(self, str method):
+        """The workspace of an implicit method, and the derivatives that it needs."""
+        cdef fb_stepper *stepper = &self.run.stepper
+        cdef const fb_kernel *kernel = self.ode.evaluator.kernel
+        if method == "Radau":
+            stepper.own = &self.radau
+            memory = np.zeros(fb_place_radau(stepper.n, &self.radau, NULL))
+            fb_place_radau(stepper.n, &self.radau, <double *>self._keep(memory))
+        elif method == "ALI3P":
+            stepper.own = &self.augmented
+            memory = np.zeros(fb_place_augmented(kernel, &self.augmented, NULL))
+            fb_place_augmented(kernel, &self.augmented, <double *>self._keep(memory))
+        else:
+            return
+        self.ode.evaluator.function(FB_STATE_PARTIALS)
 
     @property
     def found(self):
@@ -1214,12 +1244,16 @@ cdef class Run:
     @property
     def n_jacobians(self):
         """Number of evaluations of its derivatives."""
-        return self.augmented.n_jacobians if self.foreign is None else self.foreign.counts[1]
+        if self.foreign is not None:
+            return self.foreign.counts[1]
+        return self.augmented.n_jacobians + self.radau.n_jacobians
 
     @property
     def n_factorizations(self):
         """Number of factorizations for Newton's method and projections, without those of the right-hand side."""
-        return self.augmented.n_factorizations if self.foreign is None else self.foreign.counts[2]
+        if self.foreign is not None:
+            return self.foreign.counts[2]
+        return self.augmented.n_factorizations + self.radau.n_factorizations
 
     @property
     def x(self):

@@ -33,17 +33,20 @@ from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.roles import METHODS
 from fourbar_codegen.simulation.events import Event, events_of
 
-__all__ = ["FIXED_STEP", "SOLVERS", "RunOptions"]
+__all__ = ["FIXED_STEP", "SOLVERS", "STIFF", "RunOptions"]
 
 Floats = NDArray[np.float64]
 
 FIXED_STEP = "ALI3P"
 """The method that passes singular positions, with a fixed step size; see ``steppers/ali3p.h``."""
 
-SOLVERS = ("RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+STIFF = "Radau"
+"""The method for stiff equations; see ``steppers/radau.h``."""
+
+SOLVERS = ("RK23", "BDF", "LSODA", "CVODE", "IDA")
 """Methods of `fourbar_codegen.solvers` that are not entirely in C."""
 
-STEPS = dict.fromkeys((*METHODS, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
+STEPS = dict.fromkeys((*METHODS, STIFF, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
 """Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
 
 MARGIN = 10

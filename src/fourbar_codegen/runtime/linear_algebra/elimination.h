@@ -68,6 +68,81 @@ static inline int fb_eliminate_full(const int n, double *restrict a, double *res
     return 1;
 }
 
+/* Solves A x = b by the factors of P A, and the rows of P. */
+static inline void fb_solve_lu(const int n, const double *restrict a, const int *restrict rows,
+                               const double *restrict b, double *restrict x)
+{
+    for (int k = 0; k < n; ++k) {
+        x[k] = b[rows[k]];
+        for (int j = 0; j < k; ++j)
+            x[k] -= a[k * n + j] * x[j];
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        for (int j = k + 1; j < n; ++j)
+            x[k] -= a[k * n + j] * x[j];
+        x[k] /= a[k * n + k];
+    }
+}
+
+/* P A = L U of a complex square matrix, whose real and imaginary parts are apart; pivots are replaced by their
+ * reciprocals. Returns 0 if a pivot is 0. */
+static inline int fb_factor_complex(const int n, double *restrict re, double *restrict im, int *restrict rows)
+{
+    for (int k = 0; k < n; ++k) {
+        int pivot = k;
+        double largest = 0.0;
+        for (int i = k; i < n; ++i) {
+            const double size = fabs(re[i * n + k]) + fabs(im[i * n + k]);
+            if (size > largest) {
+                largest = size;
+                pivot = i;
+            }
+        }
+        if (!(largest > 0.0))
+            return 0;
+        for (int j = 0; j < n && pivot != k; ++j) {
+            fb_swap_double(re + k * n + j, re + pivot * n + j);
+            fb_swap_double(im + k * n + j, im + pivot * n + j);
+        }
+        fb_swap_int(rows + k, rows + pivot);
+        const double a = re[k * n + k] / largest, b = im[k * n + k] / largest, square = (a * a + b * b) * largest;
+        const double p = re[k * n + k] = a / square, q = im[k * n + k] = -b / square;
+        for (int i = k + 1; i < n; ++i) {
+            const double x = re[i * n + k], y = im[i * n + k];
+            const double u = re[i * n + k] = x * p - y * q, v = im[i * n + k] = x * q + y * p;
+            for (int j = k + 1; j < n; ++j) {
+                re[i * n + j] -= u * re[k * n + j] - v * im[k * n + j];
+                im[i * n + j] -= u * im[k * n + j] + v * re[k * n + j];
+            }
+        }
+    }
+    return 1;
+}
+
+/* Solves A (x + i y) = b + i c by these factors. */
+static inline void fb_solve_complex(const int n, const double *restrict re, const double *restrict im,
+                                    const int *restrict rows, const double *restrict b, const double *restrict c,
+                                    double *restrict x, double *restrict y)
+{
+    for (int k = 0; k < n; ++k) {
+        x[k] = b[rows[k]];
+        y[k] = c[rows[k]];
+        for (int j = 0; j < k; ++j) {
+            x[k] -= re[k * n + j] * x[j] - im[k * n + j] * y[j];
+            y[k] -= re[k * n + j] * y[j] + im[k * n + j] * x[j];
+        }
+    }
+    for (int k = n - 1; k >= 0; --k) {
+        double u = x[k], v = y[k];
+        for (int j = k + 1; j < n; ++j) {
+            u -= re[k * n + j] * x[j] - im[k * n + j] * y[j];
+            v -= re[k * n + j] * y[j] + im[k * n + j] * x[j];
+        }
+        x[k] = u * re[k * n + k] - v * im[k * n + k];
+        y[k] = u * im[k * n + k] + v * re[k * n + k];
+    }
+}
+
 /* The sign of det A times its least pivot with partial pivoting; A is overwritten. */
 static inline double fb_signed_least_pivot(const int n, double *restrict a)
 {

@@ -1,0 +1,229 @@
+"""Stiff cases at equal final error: Radau in C beside SciPy's Radau, BDF and LSODA, and SUNDIALS' CVODE and IDA.
+
+Each method runs with tolerances from coarse to fine; its time for an error is the shortest one of a run whose error is
+at most this. Errors are the largest of a state at the end, relative to its value there for equations with published
+values, or to its largest value in the run for mechanisms.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+import sympy as sm
+import sympy.physics.mechanics as me
+from measure import DOCS, PROJECT, call, circumstances, options_of, publish, timed
+from scipy.integrate import solve_ivp
+from sympy.physics.biomechanics import FirstOrderActivationDeGroote2016, MusculotendonDeGroote2016
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+
+sys.path.append(str(PROJECT / "examples"))
+driven_four_bar = import_module("08_stiff_drive").driven_four_bar
+
+ERRORS = (1e-4, 1e-6, 1e-8)
+TOLERANCES = [10.0**-k for k in range(3, 13)]
+MOST_SECONDS = 0.5
+"""Of a run; those with finer tolerances are left out."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A model, a run, and the size of each state, by which errors are relative."""
+
+    model: fb.CompiledModel
+    span: tuple[float, float]
+    x0: Any
+    inputs: Any = None
+    sizes: Any = None
+    expected: dict[int, float] | None = None
+
+
+def equations(name: str, rates: Callable[..., list[Any]], start: list[float]) -> fb.CompiledModel:
+    """A model of first-order equations: auxiliary states beside a mass that rests."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    q, u = me.dynamicsymbols("q u")
+    mass = me.Particle("mass", origin.locatenew("P", q * frame.x), 1)
+    mass.point.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(mass)
+    y = me.dynamicsymbols(f"y1:{len(start) + 1}")
+    initial = {q: 0.0, u: 0.0, **dict(zip(y, start, strict=True))}
+    return fb.compile_model(
+        fb.Model(system, name=name, state_equations=dict(zip(y, rates(*y), strict=True)), initial=initial)
+    )
+
+
+def van_der_pol() -> Case:
+    """E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.10: y(2) as published with the test set."""
+    model = equations("van_der_pol", lambda a, b: [b, ((1 - a**2) * b - a) / 1e-6], [2.0, 0.0])
+    return Case(model, (0.0, 2.0), None, expected={2: 1.706167732170483, 3: -0.892809701024795})
+
+
+def hires() -> Case:
+    """The same book's problem HIRES."""
+
+    def rates(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> list[Any]:
+        return [
+            -1.71 * a + 0.43 * b + 8.32 * c + 0.0007, 1.71 * a - 8.75 * b, -10.03 * c + 0.43 * d + 0.035 * e,
+            8.32 * b + 1.71 * c - 1.12 * d, -1.745 * e + 0.43 * f + 0.43 * g,
+            -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g, 280 * f * h - 1.81 * g, -280 * f * h + 1.81 * g,
+        ]  # fmt: skip
+
+    model = equations("hires", rates, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057])
+    return Case(model, (0.0, 321.8122), None, expected={2: 0.7371312573325668e-3, 9: 0.2850001604978180e-2})
+
+
+def robertson(end: float, *values: float) -> Case:
+    """H. H. Robertson's reactions (1966)."""
+    model = equations(
+        "robertson",
+        lambda a, b, c: [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b**2, 3e7 * b**2],
+        [1.0, 0.0, 0.0],
+    )
+    return Case(model, (0.0, end), None, expected=dict(enumerate(values, 2)))
+
+
+def stiff_drive() -> Case:
+    """examples/08_stiff_drive.py."""
+    return Case(fb.compile_model(driven_four_bar()), (0.0, 4.0), None)
+
+
+def muscle() -> Case:
+    """The weight of docs/howto/state_equations.md."""
+    q, u, m, g, d = *me.dynamicsymbols("q u"), *sm.symbols("m g d")
+    ground, origin, hand = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
+    origin.set_vel(ground, 0)
+    hand.set_pos(origin, q * ground.x)
+    hand.set_vel(ground, u * ground.x)
+    activation = FirstOrderActivationDeGroote2016.with_defaults("biceps")
+    biceps = MusculotendonDeGroote2016.with_defaults("biceps", me.LinearPathway(origin, hand), activation)
+    system = System(ground, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(me.Particle("weight", hand, m))
+    system.add_loads(me.Force(hand, (m * g - d * u) * ground.x))
+    system.add_actuators(biceps)
+    values = {m: 20.0, g: 9.81, d: 50.0, biceps.l_T_slack: 0.2, biceps.F_M_max: 1000.0, biceps.l_M_opt: 0.15}
+    model = fb.compile_model(fb.Model(system, name="lift", parameters=values))
+    excitation = ([0.0, 0.1, 0.11, 0.5], [0.4, 0.4, 0.8, 0.8])
+    return Case(model, (0.0, 0.5), [0.34, 0.0, 0.4], {"e_biceps": excitation})
+
+
+def bounces() -> Case:
+    """1 kg falls from 10 m on a spring of 1e7 N/m with a damper of 1e3 N s/m, twice."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    origin.set_vel(frame, 0)
+    q, u = me.dynamicsymbols("q u")
+    ball = me.Particle("ball", origin.locatenew("P", q * frame.x), 1)
+    ball.point.set_vel(frame, u * frame.x)
+    system = System(frame, origin)
+    system.add_coordinates(q)
+    system.add_speeds(u)
+    system.add_kdes(u - q.diff())
+    system.add_bodies(ball)
+    contact = sm.Piecewise((-1e7 * q - 1e3 * u, q < 0), (0, True))
+    system.add_loads(me.Force(ball.point, (contact - sm.Float(9.81)) * frame.x))
+    model = fb.compile_model(fb.Model(system, name="bounces", initial={q: 10.0, u: 0.0}))
+    return Case(model, (0.0, 5.0), None)
+
+
+def motor() -> Case:
+    """A DC motor, L/R = 1e-5 s, that turns the slider-crank."""
+    given = fb.models.slider_crank()
+    system, (torque, load) = given.system, me.dynamicsymbols("torque load")
+    current, voltage = me.dynamicsymbols("current voltage")
+    system.add_loads(me.Torque(system.bodies[0].frame, 0.5 * current * system.frame.z))
+    rate = (voltage - current - 0.5 * system.u[0]) / 1e-5
+    model = fb.Model(
+        system, name="motor_crank", parameters=given.parameters, initial={**given.initial, current: 0.0},
+        inputs={torque: 0.0, load: 0.0, voltage: 12.0}, state_equations={current: rate},
+    )  # fmt: skip
+    return Case(fb.compile_model(model), (0.0, 1.0), None)
+
+
+CASES: dict[str, Callable[[], Case]] = {
+    "stiff drive (examples/08)": stiff_drive,
+    "muscle": muscle,
+    "two bounces": bounces,
+    "van der Pol, 1e-6": van_der_pol,
+    "HIRES": hires,
+    "Robertson to 40": lambda: robertson(40.0, 0.7158270688, 9.185534765e-6, 0.2841637457),
+    "Robertson to 4e10": lambda: robertson(4e10),
+    "DC motor on a slider-crank": motor,
+}
+METHODS = ("Radau", "SciPy's Radau", "BDF", "LSODA", "CVODE", "IDA")
+
+
+def run_of(case: Case, method: str, x0: Any, rtol: float, atol: Any) -> Callable[[], Any]:
+    """A run by a method."""
+    if method == "SciPy's Radau":
+        ode = case.model.ode(inputs=case.inputs)
+        how = {"method": fb.solvers.Radau, "jac": ode.jac, "rtol": max(rtol, 3e-14), "atol": atol}
+        return lambda: solve_ivp(ode, case.span, x0, **how)
+    given = {"inputs": case.inputs, "rtol": rtol, "atol": atol, "t_eval": case.span, "method": method}
+    return lambda: case.model.simulate(case.span, x0, max_steps=10**7, **given)
+
+
+def measured(case: Case, rounds: int) -> dict[str, list[float | None]]:
+    """For each method its times for the errors; None where no tolerance gives one."""
+    x0 = case.model.initial_state() if case.x0 is None else np.asarray(case.x0)
+    exact = case.model.simulate(case.span, x0, inputs=case.inputs, method="Radau", rtol=1e-11, atol=1e-14)
+    assert exact.success, exact.message
+    end = exact.y[:, -1]
+    sizes = np.abs(exact.y).max(axis=1) if case.expected is None else np.abs(end)
+    sizes[sizes == 0.0] = 1.0
+    for i, value in (case.expected or {}).items():
+        assert abs(end[i] - value) < 1e-7 * abs(value), (i, end[i], value)
+    found: dict[str, list[float | None]] = {}
+    for method in METHODS:
+        best: dict[float, float] = {}
+        for tolerance in TOLERANCES:
+            run = run_of(case, method, x0, tolerance, tolerance * sizes)
+            try:
+                once = timed(run)
+                result = run()
+            except fb.FourbarError:
+                continue
+            error = float(np.max(np.abs(result.y[:, -1] - end) / sizes)) if result.success else np.inf
+            if any(error <= target and once < 2.0 * best.get(target, np.inf) for target in ERRORS):
+                measure = call(run)
+                seconds = min(measure() for _ in range(1 if once > 0.1 else rounds))
+                for target in ERRORS:
+                    if error <= target:
+                        best[target] = min(seconds, best.get(target, np.inf))
+            if once > MOST_SECONDS:
+                break
+        found[method] = [best.get(target) for target in ERRORS]
+    return found
+
+
+def main() -> None:
+    options = options_of(__doc__)
+    lines = [f"| | error | {' | '.join(METHODS)} | ratio |", f"|---|---:|{'---:|' * len(METHODS)}---:|"]
+    report: dict[str, Any] = {}
+    for name, make in CASES.items():
+        report[name] = found = measured(make(), options.rounds)
+        for k, error in enumerate(ERRORS):
+            times = [found[method][k] for method in METHODS]
+            others = [time for time in times[1:] if time is not None]
+            ratio = f"{min(others) / times[0]:.2g}" if others and times[0] else ""
+            cells = [f"{1e3 * time:.3g} ms" if time else "" for time in times]
+            lines.append(f"| {name if k == 0 else ''} | {error:.0e} | {' | '.join(cells)} | {ratio} |")
+            print(lines[-1], flush=True)
+    circumstance = circumstances(["scikit-sundae"])
+    publish(options, "stiff", "\n".join(lines), {**circumstance, "seconds": report}, DOCS / "methods.md")
+
+
+if __name__ == "__main__":
+    main()

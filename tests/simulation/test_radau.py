@@ -1,0 +1,194 @@
+"""Radau IIA of order 5: order, stiff problems with published values, linear systems, loops, ensembles."""
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from builders.oscillators import on_a_line, oscillator
+from builders.state_equations import first_order
+from scipy.linalg import expm
+
+import fourbar_codegen as fb
+
+LINEAR = 3
+"""States of the linear systems."""
+
+
+def van_der_pol(direction):
+    """With a stiffness of 1e6, and its time reversed."""
+
+    def rates(a, b):
+        return [direction * b, direction * 1e6 * ((1 - a**2) * b - a)]
+
+    return fb.compile_model(first_order("van_der_pol", rates, [2.0, 0.0]))
+
+
+def hires(a, b, c, d, e, f, g, h):
+    return [
+        -1.71 * a + 0.43 * b + 8.32 * c + 0.0007, 1.71 * a - 8.75 * b, -10.03 * c + 0.43 * d + 0.035 * e,
+        8.32 * b + 1.71 * c - 1.12 * d, -1.745 * e + 0.43 * f + 0.43 * g,
+        -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g, 280 * f * h - 1.81 * g, -280 * f * h + 1.81 * g,
+    ]  # fmt: skip
+
+
+def robertson(a, b, c):
+    return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b**2, 3e7 * b**2]
+
+
+PROBLEMS = {
+    "HIRES": (hires, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057], 321.8122, {2: 7.371312573325668e-4, 9: 2.8500016e-3}),
+    "Robertson": (robertson, [1.0, 0.0, 0.0], 40.0, {2: 0.7158270688, 3: 9.185534765e-6, 4: 0.2841637457}),
+}
+"""E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.10, and the Test Set for IVP Solvers;
+the states before those of the equations are of a mass at rest."""
+
+
+def errors_of_steps(run, exact, lengths):
+    """The errors at the end of runs with steps of fixed lengths: tolerances so wide that max_step decides."""
+    return np.array([np.abs(run(max_step=h, rtol=0.9, atol=1e3).y[:, -1] - exact).max() for h in lengths])
+
+
+def test_the_order_is_five():
+    """On x = 0.3 cos 2 t: errors of steps that are half as long are 2^-5 of these."""
+    model = fb.compile_model(oscillator())
+    exact = [0.3 * np.cos(4.0), -0.6 * np.sin(4.0)]
+    errors = errors_of_steps(
+        lambda **how: model.simulate((0.0, 2.0), method="Radau", **how), exact, 0.2 / 2.0 ** np.arange(3)
+    )
+    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(5.0, abs=0.1)
+
+
+@pytest.mark.parametrize("constraints", ["project", "none"])
+def test_the_order_is_five_with_a_loop(constraints):
+    """A mass on a circle without gravity keeps its speed: x = cos t, y = sin t."""
+    given = fb.models.cartesian_pendulum()
+    model = fb.compile_model(given)
+    parameters = {name: 0.0 if name == "g" else 1.0 for name in model.parameters}
+    states = {"x": 1.0, "y": 0.0}
+    names = [str(q.func) for q in given.mechanism.coordinates]
+    x0 = [states[name] for name in names] + [{"x": 0.0, "y": 1.0}[name] for name in names]
+    exact = [{"x": np.cos(2.0), "y": np.sin(2.0)}[name] for name in names]
+    exact += [{"x": -np.sin(2.0), "y": np.cos(2.0)}[name] for name in names]
+    errors = errors_of_steps(
+        lambda **how: model.simulate(
+            (0.0, 2.0), x0, method="Radau", parameters=parameters, constraints=constraints, **how
+        ),
+        exact,
+        0.4 / 2.0 ** np.arange(3),
+    )
+    assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(5.0, abs=0.3)
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_published_values_of_stiff_problems(name):
+    rates, start, end, expected = PROBLEMS[name]
+    model = fb.compile_model(first_order(name.lower(), rates, start))
+    run = model.simulate((0.0, end), method="Radau", rtol=1e-9, atol=1e-14)
+    assert run.success, run.message
+    for state, value in expected.items():
+        assert run.y[state, -1] == pytest.approx(value, rel=1e-7)
+    assert len(run.t) < 2000
+
+
+@pytest.mark.parametrize("direction", [1.0, -1.0])
+def test_van_der_pols_equation_forwards_and_backwards(direction):
+    run = van_der_pol(direction).simulate((0.0, 2.0 * direction), method="Radau", rtol=1e-10, atol=1e-10)
+    assert run.success, run.message
+    np.testing.assert_allclose(run.y[2:, -1], [1.706167732170483, -0.892809701024795], rtol=1e-7)
+    assert len(run.t) < 20_000
+
+
+@pytest.fixture(scope="module")
+def linear():
+    """x' = A x, with the entries of A as parameters."""
+    entries = sm.Matrix(LINEAR, LINEAR, sm.symbols(f"a:{LINEAR**2}"))
+    values = dict.fromkeys(entries, 0.0)
+    model = first_order("linear", lambda *x: list(entries * sm.Matrix(x)), [1.0] * LINEAR, parameters=values)
+    return fb.compile_model(model)
+
+
+def test_a_thousand_stiff_linear_systems_are_the_exponential(linear):
+    """Decays of 1e0 to 1e6 1/s, some of which turn; in one ensemble on all cores. Errors are some steps' tolerances."""
+    generator = np.random.default_rng(0)
+    matrices = []
+    for _ in range(1000):
+        basis = np.linalg.qr(generator.normal(size=(LINEAR, LINEAR)))[0] + 0.3 * generator.normal(size=(LINEAR, LINEAR))
+        decay, turn = 10.0 ** generator.uniform(0.0, 6.0, 2)
+        block = np.zeros((LINEAR, LINEAR))
+        block[0, 0] = -(10.0 ** generator.uniform(-1.0, 1.0))
+        block[1:, 1:] = [[-decay, min(turn, decay)], [-min(turn, decay), -decay]]
+        matrices.append(basis @ block @ np.linalg.inv(basis))
+    matrices = np.array(matrices)
+    names = {f"a{i}": matrices.reshape(1000, -1)[:, i] for i in range(LINEAR**2)}
+    x0 = np.concatenate((np.zeros(2), np.ones(LINEAR)))
+    ensemble = linear.ensemble(
+        (0.0, 1.0), np.tile(x0, (1000, 1)), parameters=names, method="Radau", rtol=1e-8, atol=1e-10, progress=False
+    )
+    assert ensemble.success.all()
+    exact = np.array([expm(matrix) @ np.ones(LINEAR) for matrix in matrices])
+    error = np.abs(ensemble.y[:, 2:, -1] - exact) / np.abs(x0).max()
+    assert error.max() < 1e-6
+    assert np.median(error.max(axis=1)) < 1e-8
+    assert np.median(ensemble.nfev) < 3000
+
+
+def test_members_of_an_ensemble_are_single_runs(linear):
+    names = {"a0": [-1e5, -1e3], "a4": [-2.0, -3.0], "a8": [-4.0, -5.0], "a1": [1e3, 10.0]}
+    how = {"method": "Radau", "rtol": 1e-6, "t_eval": np.linspace(0.0, 1.0, 11), "events": "y1"}
+    ensemble = linear.ensemble((0.0, 1.0), parameters=names, **how)
+    for member in range(2):
+        run = linear.simulate((0.0, 1.0), parameters={name: each[member] for name, each in names.items()}, **how)
+        np.testing.assert_array_equal(ensemble.y[member], run.y)
+        assert ensemble.nfev[member] == run.nfev
+
+
+def test_counts_and_interpolant_of_a_run():
+    """A Jacobian in each step, and two factorizations for each of its attempts."""
+    model = fb.compile_model(oscillator())
+    run = model.simulate((0.0, 2.0), method="Radau", rtol=1e-8, atol=1e-8, dense_output=True)
+    steps = len(run.t) - 1
+    assert run.njev == steps
+    assert steps <= run.nlu / 2 <= 1.5 * steps
+    assert 6 * steps < run.nfev < 25 * steps
+    # The collocation polynomial is of order 3 between the ends of steps.
+    times = np.linspace(0.0, 2.0, 201)
+    np.testing.assert_allclose(run.sol(times)[0], 0.3 * np.cos(2.0 * times), rtol=0, atol=1e-5)
+
+
+def test_stiff_feedback_by_a_callable_is_in_the_jacobian(four_bar):
+    """As many steps as by an input of the equations: a Jacobian without feedback would need thousands."""
+    gain, x0 = 1e5, four_bar.initial_state()
+    how = {"method": "Radau", "rtol": 1e-7, "atol": 1e-8}
+    run = four_bar.simulate((0.0, 1.0), x0, inputs={"F": lambda t, x: -gain * x[3]}, **how)
+    assert run.success
+    assert len(run.t) < 150
+    exact = four_bar.simulate((0.0, 1.0), x0, inputs={"F": lambda t, x: -gain * x[3]}, method="LSODA", rtol=1e-10)
+    np.testing.assert_allclose(run.y[:, -1], exact.y[:, -1], rtol=0, atol=1e-6)
+
+
+def test_a_stiff_stabilization_is_in_the_jacobian(four_bar):
+    how = {"method": "Radau", "constraints": "baumgarte", "stabilization": 1e4, "rtol": 1e-8, "atol": 1e-8}
+    run = four_bar.simulate((0.0, 1.0), **how)
+    assert run.success
+    assert len(run.t) < 2000
+    exact = four_bar.simulate((0.0, 1.0), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(run.y[:, -1], exact.y[:, -1], rtol=0, atol=1e-7)
+
+
+def test_a_bouncing_mass_returns_to_its_height():
+    """1 kg falls from 10 m, to a speed v, on a spring of 1e7 N/m: a bounce lasts 2 (pi - atan(v w / g)) / w."""
+    x, stiffness, g, height = me.dynamicsymbols("x"), 1e7, 9.81, 10.0
+    force = sm.Piecewise((-stiffness * x, x < 0), (0, True)) - sm.Float(g)
+    model = fb.compile_model(fb.Model(on_a_line(1, force), name="bounces"))
+    fall, speed, w = np.sqrt(2.0 * height / g), np.sqrt(2.0 * g * height), np.sqrt(stiffness)
+    period = 2.0 * fall + 2.0 / w * (np.pi - np.arctan(speed * w / g))
+    run = model.simulate((0.0, 2.0 * period), [height, 0.0], method="Radau", rtol=1e-8, atol=1e-8)
+    assert run.success, run.message
+    np.testing.assert_allclose(run.y[:, -1], [height, 0.0], rtol=0, atol=1e-5)
+
+
+def test_methods_without_sensitivities_name_those_that_have_them(four_bar):
+    with pytest.raises(fb.ModelError, match="Radau has no sensitivities: use DOP853"):
+        four_bar.simulate((0.0, 1.0), method="Radau", sensitivities=["k"])
+    with pytest.raises(fb.ModelError, match="Radau has no gradient: use DOP853"):
+        four_bar.simulate((0.0, 1.0), method="Radau", gradient=True)

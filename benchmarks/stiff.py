@@ -8,6 +8,7 @@ values, or to its largest value in the run for mechanisms.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,15 +17,17 @@ from typing import Any
 import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
-from measure import DOCS, PROJECT, call, circumstances, options_of, publish, timed
+from measure import DOCS, PROJECT, call, circumstances, options_of, publish
 from scipy.integrate import solve_ivp
 from sympy.physics.biomechanics import FirstOrderActivationDeGroote2016, MusculotendonDeGroote2016
-from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 
-sys.path.append(str(PROJECT / "examples"))
+sys.path += [str(PROJECT / "examples"), str(PROJECT / "tests")]
 driven_four_bar = import_module("08_stiff_drive").driven_four_bar
+on_a_line = import_module("builders.oscillators").on_a_line
+problems = import_module("builders.state_equations")
+first_order = problems.first_order
 
 ERRORS = (1e-4, 1e-6, 1e-8)
 TOLERANCES = [10.0**-k for k in range(3, 13)]
@@ -34,85 +37,46 @@ MOST_SECONDS = 0.5
 
 @dataclass(frozen=True)
 class Case:
-    """A model, a run, and the size of each state, by which errors are relative."""
+    """A model and a run, with states at its end that are published."""
 
     model: fb.CompiledModel
     span: tuple[float, float]
-    x0: Any
+    x0: Any = None
     inputs: Any = None
-    sizes: Any = None
     expected: dict[int, float] | None = None
-
-
-def equations(name: str, rates: Callable[..., list[Any]], start: list[float]) -> fb.CompiledModel:
-    """A model of first-order equations: auxiliary states beside a mass that rests."""
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    q, u = me.dynamicsymbols("q u")
-    mass = me.Particle("mass", origin.locatenew("P", q * frame.x), 1)
-    mass.point.set_vel(frame, u * frame.x)
-    system = System(frame, origin)
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(u - q.diff())
-    system.add_bodies(mass)
-    y = me.dynamicsymbols(f"y1:{len(start) + 1}")
-    initial = {q: 0.0, u: 0.0, **dict(zip(y, start, strict=True))}
-    return fb.compile_model(
-        fb.Model(system, name=name, state_equations=dict(zip(y, rates(*y), strict=True)), initial=initial)
-    )
 
 
 def van_der_pol() -> Case:
     """E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, IV.10: y(2) as published with the test set."""
-    model = equations("van_der_pol", lambda a, b: [b, ((1 - a**2) * b - a) / 1e-6], [2.0, 0.0])
-    return Case(model, (0.0, 2.0), None, expected={2: 1.706167732170483, 3: -0.892809701024795})
+    model = first_order("van_der_pol", problems.van_der_pol, [2.0, 0.0])
+    return Case(fb.compile_model(model), (0.0, 2.0), expected={2: 1.706167732170483, 3: -0.892809701024795})
 
 
 def hires() -> Case:
     """The same book's problem HIRES."""
-
-    def rates(a: Any, b: Any, c: Any, d: Any, e: Any, f: Any, g: Any, h: Any) -> list[Any]:
-        return [
-            -1.71 * a + 0.43 * b + 8.32 * c + 0.0007, 1.71 * a - 8.75 * b, -10.03 * c + 0.43 * d + 0.035 * e,
-            8.32 * b + 1.71 * c - 1.12 * d, -1.745 * e + 0.43 * f + 0.43 * g,
-            -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g, 280 * f * h - 1.81 * g, -280 * f * h + 1.81 * g,
-        ]  # fmt: skip
-
-    model = equations("hires", rates, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057])
-    return Case(model, (0.0, 321.8122), None, expected={2: 0.7371312573325668e-3, 9: 0.2850001604978180e-2})
+    model = first_order("hires", problems.hires, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057])
+    expected = {2: 0.7371312573325668e-3, 9: 0.2850001604978180e-2}
+    return Case(fb.compile_model(model), (0.0, 321.8122), expected=expected)
 
 
 def robertson(end: float, *values: float) -> Case:
     """H. H. Robertson's reactions (1966)."""
-    model = equations(
-        "robertson",
-        lambda a, b, c: [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b**2, 3e7 * b**2],
-        [1.0, 0.0, 0.0],
-    )
-    return Case(model, (0.0, end), None, expected=dict(enumerate(values, 2)))
+    model = first_order("robertson", problems.robertson, [1.0, 0.0, 0.0])
+    return Case(fb.compile_model(model), (0.0, end), expected=dict(enumerate(values, 2)))
 
 
 def stiff_drive() -> Case:
     """examples/08_stiff_drive.py."""
-    return Case(fb.compile_model(driven_four_bar()), (0.0, 4.0), None)
+    return Case(fb.compile_model(driven_four_bar()), (0.0, 4.0))
 
 
 def muscle() -> Case:
     """The weight of docs/howto/state_equations.md."""
-    q, u, m, g, d = *me.dynamicsymbols("q u"), *sm.symbols("m g d")
-    ground, origin, hand = me.ReferenceFrame("N"), me.Point("O"), me.Point("P")
-    origin.set_vel(ground, 0)
-    hand.set_pos(origin, q * ground.x)
-    hand.set_vel(ground, u * ground.x)
+    v, (m, g, d) = me.dynamicsymbols("v"), sm.symbols("m g d")
+    system = on_a_line(m, m * g - d * v)
     activation = FirstOrderActivationDeGroote2016.with_defaults("biceps")
-    biceps = MusculotendonDeGroote2016.with_defaults("biceps", me.LinearPathway(origin, hand), activation)
-    system = System(ground, origin)
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(u - q.diff())
-    system.add_bodies(me.Particle("weight", hand, m))
-    system.add_loads(me.Force(hand, (m * g - d * u) * ground.x))
+    pathway = me.LinearPathway(system.fixed_point, system.bodies[0].masscenter)
+    biceps = MusculotendonDeGroote2016.with_defaults("biceps", pathway, activation)
     system.add_actuators(biceps)
     values = {m: 20.0, g: 9.81, d: 50.0, biceps.l_T_slack: 0.2, biceps.F_M_max: 1000.0, biceps.l_M_opt: 0.15}
     model = fb.compile_model(fb.Model(system, name="lift", parameters=values))
@@ -122,20 +86,10 @@ def muscle() -> Case:
 
 def bounces() -> Case:
     """1 kg falls from 10 m on a spring of 1e7 N/m with a damper of 1e3 N s/m, twice."""
-    frame, origin = me.ReferenceFrame("N"), me.Point("O")
-    origin.set_vel(frame, 0)
-    q, u = me.dynamicsymbols("q u")
-    ball = me.Particle("ball", origin.locatenew("P", q * frame.x), 1)
-    ball.point.set_vel(frame, u * frame.x)
-    system = System(frame, origin)
-    system.add_coordinates(q)
-    system.add_speeds(u)
-    system.add_kdes(u - q.diff())
-    system.add_bodies(ball)
-    contact = sm.Piecewise((-1e7 * q - 1e3 * u, q < 0), (0, True))
-    system.add_loads(me.Force(ball.point, (contact - sm.Float(9.81)) * frame.x))
-    model = fb.compile_model(fb.Model(system, name="bounces", initial={q: 10.0, u: 0.0}))
-    return Case(model, (0.0, 5.0), None)
+    x, v = me.dynamicsymbols("x v")
+    contact = sm.Piecewise((-1e7 * x - 1e3 * v, x < 0), (0, True))
+    model = fb.Model(on_a_line(1, contact - sm.Float(9.81)), name="bounces", initial={x: 10.0, v: 0.0})
+    return Case(fb.compile_model(model), (0.0, 5.0))
 
 
 def motor() -> Case:
@@ -149,7 +103,7 @@ def motor() -> Case:
         system, name="motor_crank", parameters=given.parameters, initial={**given.initial, current: 0.0},
         inputs={torque: 0.0, load: 0.0, voltage: 12.0}, state_equations={current: rate},
     )  # fmt: skip
-    return Case(fb.compile_model(model), (0.0, 1.0), None)
+    return Case(fb.compile_model(model), (0.0, 1.0))
 
 
 CASES: dict[str, Callable[[], Case]] = {
@@ -191,8 +145,9 @@ def measured(case: Case, rounds: int) -> dict[str, list[float | None]]:
         for tolerance in TOLERANCES:
             run = run_of(case, method, x0, tolerance, tolerance * sizes)
             try:
-                once = timed(run)
+                begin = time.perf_counter()
                 result = run()
+                once = time.perf_counter() - begin
             except fb.FourbarError:
                 continue
             error = float(np.max(np.abs(result.y[:, -1] - end) / sizes)) if result.success else np.inf

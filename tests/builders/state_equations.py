@@ -55,6 +55,25 @@ def cartesian():
     )
 
 
+def van_der_pol(a, b):
+    """E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, section IV.10, with a stiffness of 1e6."""
+    return [b, 1e6 * ((1 - a**2) * b - a)]
+
+
+def hires(a, b, c, d, e, f, g, h):
+    """The same book's problem HIRES."""
+    return [
+        -1.71 * a + 0.43 * b + 8.32 * c + 0.0007, 1.71 * a - 8.75 * b, -10.03 * c + 0.43 * d + 0.035 * e,
+        8.32 * b + 1.71 * c - 1.12 * d, -1.745 * e + 0.43 * f + 0.43 * g,
+        -280 * f * h + 0.69 * d + 1.71 * e - 0.43 * f + 0.69 * g, 280 * f * h - 1.81 * g, -280 * f * h + 1.81 * g,
+    ]  # fmt: skip
+
+
+def robertson(a, b, c):
+    """The same book's problem of H. H. Robertson's reactions."""
+    return [-0.04 * a + 1e4 * b * c, 0.04 * a - 1e4 * b * c - 3e7 * b**2, 3e7 * b**2]
+
+
 def first_order(name, rates, start, **more):
     """Equations y' = rates(y), the auxiliary states y1, y2, ... beside a mass at rest."""
     y = me.dynamicsymbols(f"y1:{len(start) + 1}")

@@ -28,7 +28,7 @@ from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
 from fourbar_codegen.simulation.events import Event, event_rows, touched
 from fourbar_codegen.simulation.integrate import REACHED_END, TERMINATED
-from fourbar_codegen.simulation.options import FIXED_STEP, STIFF, RunOptions
+from fourbar_codegen.simulation.options import IN_C, RunOptions
 from fourbar_codegen.simulation.simulate import simulate
 
 __all__ = ["run"]
@@ -51,7 +51,7 @@ def run(
     **given: Any,
 ) -> Ensemble:
     """Simulate many members; see `CompiledModel.ensemble`."""
-    one_of(given["method"], (*METHODS, STIFF, FIXED_STEP), "method for ensembles")
+    one_of(given["method"], IN_C, "method for ensembles")
     projects(model, given["constraints"])  # "baumgarte" is allowed for single runs only
     options = RunOptions.of(model, **given)
     if options.t_eval is None:

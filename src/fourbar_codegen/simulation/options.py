@@ -33,7 +33,7 @@ from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.roles import METHODS
 from fourbar_codegen.simulation.events import Event, events_of
 
-__all__ = ["FIXED_STEP", "SOLVERS", "STIFF", "RunOptions"]
+__all__ = ["FIXED_STEP", "IN_C", "SOLVERS", "STIFF", "RunOptions"]
 
 Floats = NDArray[np.float64]
 
@@ -43,10 +43,13 @@ FIXED_STEP = "ALI3P"
 STIFF = "Radau"
 """The method for stiff equations; see ``steppers/radau.h``."""
 
-SOLVERS = ("RK23", "BDF", "LSODA", "CVODE", "IDA")
-"""Methods of `fourbar_codegen.solvers` that are not entirely in C."""
+IN_C = (*METHODS, STIFF, FIXED_STEP)
+"""Methods that are entirely in C: those of ensembles."""
 
-STEPS = dict.fromkeys((*METHODS, STIFF, FIXED_STEP), 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
+SOLVERS = ("RK23", "BDF", "LSODA", "CVODE", "IDA")
+"""The others, of `fourbar_codegen.solvers`."""
+
+STEPS = dict.fromkeys(IN_C, 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
 """Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
 
 MARGIN = 10

@@ -74,8 +74,8 @@ typedef struct fb_radau {
     double *jacobian;       /* (n, n) */
     double *real, *re, *im; /* (n, n): L U of the real and the complex matrix */
     double *z, *w, *change; /* (3, n) */
-    double *rates;          /* (3, padded) */
-    double *last;           /* (3, n): the polynomial of the step before */
+    double *rates;          /* (3, n) */
+    double *last;           /* (3, padded): the polynomial of the step before */
     double *scale, *side;   /* (n,) */
     double *stage;          /* (padded,) */
     int *real_rows, *complex_rows;
@@ -93,9 +93,9 @@ static inline size_t fb_place_radau(const int n, fb_radau *m, double *memory)
     const int padded = FB_PADDED(n);
     double *rows[2];
     const fb_place places[] = {
-        {&m->jacobian, n * n}, {&m->real, n * n},   {&m->re, n * n},         {&m->im, n * n},         {&m->z, 3 * n},
-        {&m->w, 3 * n},        {&m->change, 3 * n}, {&m->rates, 3 * padded}, {&m->last, 3 * n},       {&m->scale, n},
-        {&m->side, n},         {&m->stage, padded}, {rows, (n + 1) / 2},     {rows + 1, (n + 1) / 2},
+        {&m->jacobian, n * n}, {&m->real, n * n},   {&m->re, n * n},     {&m->im, n * n},         {&m->z, 3 * n},
+        {&m->w, 3 * n},        {&m->change, 3 * n}, {&m->rates, 3 * n},  {&m->last, 3 * padded},  {&m->scale, n},
+        {&m->side, n},         {&m->stage, padded}, {rows, (n + 1) / 2}, {rows + 1, (n + 1) / 2},
     };
     const size_t length = fb_place_all(places, sizeof places / sizeof *places, memory);
     if (memory) {
@@ -133,17 +133,10 @@ static inline int fb_radau_jacobian(fb_stepper *s, fb_radau *m, const double h)
 /* What changes with a step: the polynomial of the one before, the units of Newton's method and the Jacobian. */
 static inline int fb_begin_radau(fb_stepper *s, fb_radau *m, const double h)
 {
-    const int n = s->n;
-    const double *const z = s->stages + s->padded; /* Z / h of the step before */
     m->h_last = s->fsal ? s->h : 0.0;
-    for (int k = 0; k < 3 && s->fsal; ++k)
-        for (int i = 0; i < n; ++i) {
-            double sum = 0.0;
-            for (int j = 0; j < 3; ++j)
-                sum += fb_radau_dense[k * 5 + 1 + j] * z[j * s->padded + i];
-            m->last[k * n + i] = s->h * sum;
-        }
-    for (int i = 0; i < n; ++i)
+    for (int k = 0; k < 3 && s->fsal; ++k) /* its stages are still there */
+        fb_combine(s, s->weights.dense + k, s->h, NULL, m->last + k * s->padded);
+    for (int i = 0; i < s->n; ++i)
         m->scale[i] = s->atol[i] + s->rtol[i] * fabs(s->x[i]);
     m->step = s->n_steps;
     m->rejected = 0;
@@ -182,11 +175,12 @@ static inline void fb_combine_three(const int n, const double *matrix, const dou
 static inline void fb_guess_radau(const fb_stepper *s, fb_radau *m, const double h, const int is_zero)
 {
     const int n = s->n;
+    const double *const last = m->last;
     for (int k = 0; k < 3; ++k) {
         const double y = is_zero ? 1.0 : 1.0 + fb_radau_c[k] * h / m->h_last;
         const double a = y - 1.0, b = y * y - 1.0, c = y * y * y - 1.0;
         for (int i = 0; i < n; ++i)
-            m->z[k * n + i] = is_zero ? 0.0 : a * m->last[i] + b * m->last[n + i] + c * m->last[2 * n + i];
+            m->z[k * n + i] = is_zero ? 0.0 : a * last[i] + b * last[s->padded + i] + c * last[2 * s->padded + i];
     }
     fb_combine_three(n, fb_radau_inverse, m->z, m->w);
 }

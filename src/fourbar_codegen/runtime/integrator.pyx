@@ -118,6 +118,8 @@ cdef extern from "run/driver.h":
         double *values
         int condition
         double value
+    ctypedef struct fb_stiffness:
+        int is_stiff
     ctypedef struct fb_observer:
         fb_observer *next
     ctypedef struct fb_run:
@@ -126,6 +128,7 @@ cdef extern from "run/driver.h":
         fb_samples samples
         fb_watch watch
         fb_chattering chattering
+        fb_stiffness stiffness
         fb_observer *observers
     int fb_begin(fb_run *) noexcept nogil
     int fb_step(fb_run *) noexcept nogil
@@ -1215,6 +1218,11 @@ cdef class Run:
     def jump(self):
         """The number of the condition of a jump beside which a run chatters, and its value."""
         return self.run.chattering.condition, self.run.chattering.value
+
+    @property
+    def is_stiff(self):
+        """Whether stability, not accuracy, has limited the steps of an explicit method."""
+        return bool(self.run.stiffness.is_stiff)
 
     @property
     def t(self):

@@ -21,7 +21,7 @@ from fourbar_codegen.roles import StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch, watched_quantity
-from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
+from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, STIFF, RunOptions
 from fourbar_codegen.simulation.singularity import singular_message
 
 if TYPE_CHECKING:
@@ -67,6 +67,9 @@ UNKNOWN_JUMP = (
     "prescribe the motion by an input."
 )
 NO_DERIVATIVE = " The motion has no derivative there, and ALI3P no sensitivities."
+STIFF_EQUATIONS = (
+    " The equations are stiff: stability limits the steps of {}, not the tolerances. {} takes longer ones."
+)
 COORDINATES_ALONE = " In index 3 the tolerance applies to the coordinates only; the speeds are less accurate."
 
 ALL_TIME = (0.0, -math.inf, math.inf)
@@ -334,6 +337,8 @@ class _Integration:
             status, message = (-1, sentence) if sentence else (status, message)
         end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
         message += self.watch.touched(self.run, options.t_span[0], end[0]) if self.watch else ""
+        if self.run.is_stiff and not self.differentiates:  # Radau has no derivatives
+            message += STIFF_EQUATIONS.format(options.method, f'method="{STIFF}"')
         if not self.singular:  # near singular positions speeds grow for that reason
             message += _growth(self.ode, input_times, y, end, by_steps=self.t_eval is None)
         return status, message

@@ -8,6 +8,7 @@
 #include "segments.h"
 #include "singular_stop.h"
 #include "step_collapse.h"
+#include "stiffness.h"
 
 /* Looks for events in what is left of the last step: FB_RUN_PAUSED if there are none. A singular position ends the run
  * before the step, unless an event ends it before that position. */
@@ -103,8 +104,12 @@ static inline int fb_run_on(fb_run *r, int64_t n)
         status = fb_has_collapsed(r) ? FB_RUN_COLLAPSED : fb_observed_step(r);
         if (status > FB_RUN_PAUSED)
             return fb_cause(r, status);
-        if (status == FB_RUN_PAUSED)
+        if (status == FB_RUN_PAUSED) {
+#ifndef FB_LIBRARY /* which has no sentences */
+            fb_note_stability(r);
+#endif
             status = fb_look(r);
+        }
         if (status != FB_RUN_PAUSED)
             return status;
     }

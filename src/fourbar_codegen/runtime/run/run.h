@@ -136,6 +136,12 @@ typedef struct fb_observer {
     int (*is_full)(const void *of);                                    /* no other step can be taken */
 } fb_observer;
 
+/* Whether stability limits the steps of an explicit method. */
+typedef struct fb_stiffness {
+    int at_border, within; /* steps at the border of the region of stability, and steps within since the last of them */
+    int is_stiff;
+} fb_stiffness;
+
 typedef struct fb_run {
     fb_stepper stepper;
     double direction, t_bound, t_end, max_step; /* the end of the segment, and of the run */
@@ -144,6 +150,7 @@ typedef struct fb_run {
     fb_watch watch;
     fb_pace pace;
     fb_chattering chattering;
+    fb_stiffness stiffness;
     fb_observer *observers; /* the first, or NULL */
 } fb_run;
 

@@ -25,6 +25,7 @@ static inline int fb_begin(fb_run *r)
     c->mean = 0.0;
     c->in_a_row = 0;
     c->noted = s->n_steps;
+    r->stiffness = (fb_stiffness){0, 0, 0};
     return fb_begin_events(r);
 }
 

@@ -29,6 +29,7 @@ typedef struct fb_tableau {
     int32_t n_errors;        /* 0 for fixed steps */
     const double *error;     /* (n_errors, s + 1): weights of the stages and of x' at the step's end */
     double order;            /* of the error estimate */
+    double stability;        /* x' = -k x: the largest k h of steps that do not grow, or 0 if there is no such limit */
     int32_t n_extra;         /* further stages for the interpolant */
     const double *a_extra, *c_extra;
     int32_t hermite; /* whether the interpolant's first coefficients are those of the cubic Hermite polynomial */
@@ -189,6 +190,7 @@ static const fb_tableau fb_rk45 = {.n_stages = FB_AT_MOST(6, FB_MAX_STAGES - 1),
                                    .n_errors = 1,
                                    .error = fb_rk45_error,
                                    .order = 4.0,
+                                   .stability = 3.306,
                                    .n_dense = FB_AT_MOST(4, FB_MAX_DENSE),
                                    .dense = fb_rk45_dense};
 
@@ -199,6 +201,7 @@ static const fb_tableau fb_dop853 = {.n_stages = FB_AT_MOST(12, FB_MAX_STAGES - 
                                      .n_errors = 2,
                                      .error = fb_dop853_error,
                                      .order = 7.0,
+                                     .stability = 6.393,
                                      .n_extra = FB_AT_MOST(3, FB_MAX_EXTRA),
                                      .a_extra = fb_dop853_a_extra,
                                      .c_extra = fb_dop853_c_extra,
@@ -213,6 +216,7 @@ static const fb_tableau fb_tsit5 = {.n_stages = FB_AT_MOST(6, FB_MAX_STAGES - 1)
                                     .n_errors = 1,
                                     .error = fb_tsit5_error,
                                     .order = 4.0,
+                                    .stability = 3.506,
                                     .n_dense = FB_AT_MOST(4, FB_MAX_DENSE),
                                     .dense = fb_tsit5_dense};
 

@@ -51,9 +51,9 @@ def footprint(model: fb.Model) -> dict[str, int]:
         folder, name = fb.export_c(model, temporary), model.name
         found = {}
         for machine, compiler in COMPILERS.items():
-            for part, file in (("code", f"{name}.c"), ("derivatives", f"{name}_derivatives.c")):
+            for part, file in (("code", ""), ("derivatives", "_derivatives"), ("stiff", "_stiff")):
                 built = folder / "built.o"
-                subprocess.run([*compiler, *FLAGS, "-c", folder / file, "-o", built], check=True)
+                subprocess.run([*compiler, *FLAGS, "-c", folder / f"{name}{file}.c", "-o", built], check=True)
                 found[f"{part}, {machine}"] = code_of(built)
         program = folder / "footprint"
         sources = [Path(__file__).with_suffix(".c"), folder / f"{name}.c"]
@@ -67,10 +67,11 @@ def footprint(model: fb.Model) -> dict[str, int]:
 def table(found: dict[str, dict[str, int]]) -> str:
     """The table of the page."""
     rows = [
-        "| | states | code, ARM | x86_64 | of derivatives, ARM | x86_64 | struct | stack of a step | of a run |",
-        "|---|---:|---:|---:|---:|---:|---:|---:|---:|",
+        "| | states | code, ARM | x86_64 | derivatives, ARM | x86_64 | stiff, ARM | x86_64 | struct | step | run |",
+        "|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|",
     ]
-    columns = ("code, ARM", "code, x86_64", "derivatives, ARM", "derivatives, x86_64", "struct", "step", "simulate")
+    code = [f"{part}, {machine}" for part in ("code", "derivatives", "stiff") for machine in ("ARM", "x86_64")]
+    columns = (*code, "struct", "step", "simulate")
     for name, each in found.items():
         rows.append(f"| {name} | {each['states']} | {' | '.join(f'{each[c] / 1024:.1f}' for c in columns)} |")
     return "\n".join(rows)

@@ -14,7 +14,7 @@ from fourbar_codegen.arguments import Values, flag, one_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.loading import load_named
-from fourbar_codegen.roles import METHODS
+from fourbar_codegen.roles import STEP_CONTROLLED
 from fourbar_codegen.runtime.integrator import Ode, Stepper
 from fourbar_codegen.simulation.options import RunOptions
 from fourbar_codegen.simulation.simulate import make_stepper, simulate
@@ -820,7 +820,7 @@ class CompiledModel(Kernel):
         height : int, optional
             Height in a notebook, pixels.
         method : str, optional
-            Of its runs: an explicit one with step control, as for `ensemble`.
+            Of its runs: one with step control that `ensemble` has.
 
         Returns
         -------
@@ -847,7 +847,7 @@ class CompiledModel(Kernel):
         from fourbar_codegen.simulation.events import named_events
 
         check_inputs(self, inputs)
-        one_of(method, METHODS, "method for pages")
+        one_of(method, STEP_CONTROLLED, "method for pages")
         watched = named_events(self, events, "a page")
         run = self.simulate(
             t_span, x0, method=method, parameters=parameters, inputs=inputs, events=events, rtol=TOLERANCE,
@@ -1228,6 +1228,7 @@ class CompiledModel(Kernel):
         inputs: Mapping[Any, InputSource] | None = None,
         events: EventLike | Sequence[EventLike] | None = None,
         constraints: str = "project",
+        method: str = "RK4",
     ) -> Stepper:
         """A stepper with a fixed step size, for control loops and real time.
 
@@ -1249,6 +1250,9 @@ class CompiledModel(Kernel):
             event, and the run with it.
         constraints : {"project", "none"}, optional
             As for `simulate`.
+        method : {"RK4", "Radau"}, optional
+            The classical Runge-Kutta method of order 4, or Radau IIA of order 5 for stiff equations. A step of Radau
+            whose equations have no solution is made of shorter ones.
 
         Returns
         -------
@@ -1274,8 +1278,9 @@ class CompiledModel(Kernel):
         (0.1, (6,))
         """
         return make_stepper(
-            self, h, x0, t=t, parameters=parameters, inputs=inputs, events=events, constraints=constraints
-        )
+            self, h, x0, t=t, parameters=parameters, inputs=inputs, events=events, constraints=constraints,
+            method=method,
+        )  # fmt: skip
 
 
 def _restore(*_: object) -> CompiledModel:

@@ -19,7 +19,7 @@ from fourbar_codegen.errors import BuildError, ModelError, shown
 from fourbar_codegen.files import path_of, replacing
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.progress import Progress
-from fourbar_codegen.roles import METHODS, VECTORS
+from fourbar_codegen.roles import STEP_CONTROLLED, VECTORS
 from fourbar_codegen.simulation.events import EventLike, event_row, listed_events, without_callables
 
 __all__ = ["export_c", "export_fmu"]
@@ -77,7 +77,7 @@ def export_c(model: Model, folder: str | Path) -> Path:
     >>> folder = fb.export_c(fb.models.four_bar(), tempfile.mkdtemp())
     >>> sorted(path.name for path in folder.iterdir())
     ['CMakeLists.txt', 'README.md', 'four_bar.c', 'four_bar.h', 'four_bar_derivatives.c',
-     'main.c', 'runtime']
+     'four_bar_stiff.c', 'main.c', 'runtime']
     """
     folder = path_of(folder)
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
@@ -121,7 +121,7 @@ def export_fmu(
         Vectors that are outputs as well, by components such as ``momentum_x``: "momentum", "angular_momentum" and
         "spin", see `CompiledModel.momentum`.
     method : str, optional
-        Of co-simulation: an explicit one with step control, as for `CompiledModel.ensemble`.
+        Of co-simulation: one with step control that `CompiledModel.ensemble` has, so Radau for stiff equations.
     events : str, `Event`, or list of these, optional
         Names of states, outputs, energies and vectors' components among the FMU's variables. They are event indicators
         of model exchange. In co-simulation of FMI 3.0 a step ends early at each of them, if the importer allows it; a
@@ -166,7 +166,7 @@ def export_fmu(
     wanted = listed(quantities, f"quantities= is a sequence of {', '.join(names)}")
     for each in wanted:
         one_of(each, names, "quantity")
-    one_of(method, METHODS, "method")
+    one_of(method, STEP_CONTROLLED, "method")
     watched = without_callables(listed_events(events), "an FMU")
     with Progress(f"fourbar_codegen: {getattr(model, 'name', '')}") as progress:
         generated = generate_kernel(model, progress)

@@ -12,6 +12,8 @@ __all__ = [
     "DIRECTIONS",
     "METHODS",
     "QUANTITIES",
+    "STEP_CONTROLLED",
+    "STIFF",
     "VECTOR",
     "VECTORS",
     "EventRow",
@@ -56,6 +58,7 @@ class Status(_Enum):
     CONSTRAINTS_INDEPENDENT = 5, "there are more independent constraints than dependent speeds"
     FORCES_UNDETERMINED = 6, "no unknown forces keep the auxiliary speeds zero, or many do"
     FORCES_NOT_FOUND = 7, "Newton's method does not find the unknown forces"
+    NOT_SOLVED = 8, "the equations of an implicit step could not be solved, not even in a much shorter one"
     INVALID_ARGUMENT = 20, "an argument is outside of its range"
     STEP_TOO_SMALL = 21, "the required step size is less than the spacing between numbers"
     TOO_MANY_STEPS = 22, "the largest number of steps is reached"
@@ -80,6 +83,12 @@ class Method(_Enum):
 
 METHODS = tuple(method.name for method in Method)
 """Their names in Python."""
+
+STIFF = "Radau"
+"""The method for stiff equations; see ``steppers/radau.h``."""
+
+STEP_CONTROLLED = (*METHODS, STIFF)
+"""All methods with step control in C: those of pages and FMUs."""
 
 
 class StopReason(_Enum):

@@ -27,6 +27,7 @@ PROGRAM = """
 #include "fourbar_kernel.h"
 #include "derivatives/adjoint_sensitivity.h"
 #include "steppers/ali3p.h"
+#include "steppers/radau.h"
 #include "lanes/batch.h"
 #include "derivatives/dependent_variables.h"
 #include "derivatives/forward_sensitivity.h"
@@ -117,7 +118,9 @@ static double evaluate(const fb_kernel *k, const double *p)
 
 static double run(const fb_kernel *k, const double *p, const double *x0, const fb_tableau *method, const int by_table)
 {
-    const fb_method *const steps_of = method == &fb_trapezoid ? &fb_augmented_lagrangian : &fb_runge_kutta;
+    const fb_method *const steps_of = method == &fb_trapezoid   ? &fb_augmented_lagrangian
+                                      : method == &fb_radau_iia ? &fb_radau_method
+                                                                : &fb_runge_kutta;
     const int n = k->n_x, padded = FB_PADDED(n);
     fb_source source = {.table = &table};
     fb_problem problem = {.kernel = k, .clock = fb_all_time, .constants = doubles(k->n_constants),
@@ -152,6 +155,14 @@ static double run(const fb_kernel *k, const double *p, const double *x0, const f
         fb_place_augmented(k, &augmented, memory);
         stepper->own = &augmented;
         s.max_step = 0.01;
+        fb_begin(&s);
+        fb_run_on(&s, 10000);
+        free(memory);
+    } else if (method == &fb_radau_iia) {
+        fb_radau radau = {.functions = k->functions};
+        double *const memory = calloc(FB_RADAU_LENGTH(n), sizeof(double));
+        fb_place_radau(n, &radau, memory);
+        stepper->own = &radau;
         fb_begin(&s);
         fb_run_on(&s, 10000);
         free(memory);
@@ -392,7 +403,8 @@ int main(int argc, char **argv)
         x0[i] = atof(argv[1 + k->n_p + i]);
     printf("%.17g", evaluate(k, p));
     printf(" %.17g %.17g %.17g", run(k, p, x0, &fb_rk4, 0), run(k, p, x0, &fb_rk45, 0), run(k, p, x0, &fb_dop853, 0));
-    printf(" %.17g %.17g", run(k, p, x0, &fb_trapezoid, 0), run(k, p, x0, &fb_rk45, 1));
+    printf(" %.17g %.17g", run(k, p, x0, &fb_trapezoid, 0), run(k, p, x0, &fb_radau_iia, 0));
+    printf(" %.17g", run(k, p, x0, &fb_rk45, 1));
     printf(" %.17g %.17g\\n", implicit(k, p, x0), jacobians(k, p, x0));
     printf("%.17g %.17g\\n", together(k, p, x0, &fb_rk45), together(k, p, x0, &fb_dop853));
     free(p), free(x0);
@@ -483,7 +495,7 @@ def test_kernels_and_runs_under_address_sanitizers_end_as_in_python(tmp_path, na
     _, _, *ends, by_table, _, _, _, _ = numbers
     table = {name: ([0.0, 0.2, 0.5], [0.0, 3.0, -3.0]) for name in compiled.inputs[:1]}
     for method, end, inputs in zip(
-        ("RK45", "DOP853", "ALI3P", "RK45"), (*ends, by_table), (*3 * [None], table), strict=True
+        ("RK45", "DOP853", "ALI3P", "Radau", "RK45"), (*ends, by_table), (*4 * [None], table), strict=True
     ):
         if method == "ALI3P" and compiled.n_l > compiled.n_c:
             continue
@@ -590,7 +602,7 @@ def test_fmu_states_with_damaged_bytes_are_refused_under_sanitizers(tmp_path, fm
     folder = tmp_path / "sources"
     (folder / "program.c").write_text(DAMAGED)
     flags = ["-std=c99", "-O0", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all", f"-DFMI={fmi}"]
-    sources = [folder / name for name in ("program.c", "driven.c", "driven_derivatives.c")]
+    sources = [folder / name for name in ("program.c", "driven.c", "driven_derivatives.c", "driven_stiff.c")]
     compile_c([os.environ.get("CC", "cc"), *flags, "-lm"], sources, tmp_path / "program", [folder / "runtime"])
     done = subprocess.run([tmp_path / "program"], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -3,6 +3,7 @@
 import ctypes
 import os
 import re
+import runpy
 import subprocess
 import sys
 
@@ -13,7 +14,7 @@ import sympy.physics.mechanics as me
 from builders.beads import bead_and_wheel, length, vx, vy, x, y
 from builders.exported import MODELS
 from builders.oscillators import on_a_line
-from builders.state_equations import motor
+from builders.state_equations import first_order, hires, motor
 from builders.systems import (
     pendulum,
     slider,
@@ -24,7 +25,14 @@ from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
-from fourbar_codegen.roles import Method, Status, Watched
+from fourbar_codegen.roles import METHODS, STEP_CONTROLLED, Status, Watched
+
+STIFF_MODELS = {
+    "HIRES": (lambda: first_order("hires", hires, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057]), 321.8122),
+    "four_bar": (fb.models.four_bar, 4.0),
+    "stiff drive": (runpy.run_path(str(PROJECT / "examples" / "08_stiff_drive.py"))["driven_four_bar"], 4.0),
+}
+"""Models with the ends of their runs."""
 
 
 @pytest.fixture(scope="module")
@@ -228,22 +236,61 @@ def test_c_library_steps_and_runs_as_stepper_and_simulate(exported, name):
     np.testing.assert_allclose(states[: run.y.shape[1]], run.y.T, rtol=1e-8, atol=1e-8)  # a hundred times the tolerance
 
 
-@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("method", STEP_CONTROLLED)
 def test_c_library_run_by_each_method_is_that_of_simulate(exported, method):
     """With the same steps: at a tolerance of 1e-4 other ones would differ by that. Rounding errors differ by fused
     instructions; they grow with coefficients up to 50, and with the motion.
     """
     compiled, library = exported("four_bar")
     mechanism, x = library.new(), compiled.initial_state()
-    mechanism.x[:], mechanism.method = x, method
+    mechanism.x[:] = x
     times = np.linspace(0.0, 2.0, 21)
     states = np.zeros((21, compiled.n_x))
-    assert library.call("simulate", mechanism, 2.0, 1e-4, 1e-4, times, 21, states) == 0
-    run = compiled.simulate((0.0, 2.0), x, method=method.name, t_eval=times, rtol=1e-4, atol=1e-4)
+    assert library.simulate(mechanism, method, 2.0, 1e-4, times, states) == 0
+    run = compiled.simulate((0.0, 2.0), x, method=method, t_eval=times, rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(states, run.y.T, rtol=1e-11, atol=1e-11)
 
 
-@pytest.mark.parametrize("method", Method)
+@pytest.mark.parametrize("name", STIFF_MODELS)
+def test_c_library_run_of_stiff_equations_is_that_of_simulate(tmp_path, name):
+    """To 1e-13 of the largest state: rounding errors alone, which stiff motions forget."""
+    model, end = STIFF_MODELS[name]
+    compiled, library = fb.compile_model(model()), Library(model(), tmp_path)
+    mechanism, times = library.new(), np.linspace(0.0, end, 11)
+    assert library.call("close", mechanism) == 0
+    run = compiled.simulate((0.0, end), mechanism.x[:], method="Radau", t_eval=times, rtol=1e-8, atol=1e-8)
+    states = np.zeros((11, compiled.n_x))
+    assert library.simulate(mechanism, "Radau", end, 1e-8, times, states) == 0
+    np.testing.assert_allclose(states, run.y.T, rtol=0, atol=1e-13 * np.abs(run.y).max())
+
+
+@pytest.mark.parametrize("name", STIFF_MODELS)
+def test_c_library_steps_of_stiff_equations_are_those_of_a_stepper(tmp_path, name):
+    model, end = STIFF_MODELS[name]
+    compiled, library = fb.compile_model(model()), Library(model(), tmp_path)
+    mechanism, work = library.new(), (ctypes.c_double * library.stiff_work)()
+    assert library.call("close", mechanism) == 0
+    stepper = compiled.stepper(end / 100.0, mechanism.x[:], method="Radau")
+    for _ in range(100):
+        stepper.step()
+        assert library.call("step_stiff", mechanism, end / 100.0, work) == 0
+    np.testing.assert_allclose(mechanism.x[:], stepper.x, rtol=0, atol=1e-11 * np.abs(stepper.x).max())
+    assert mechanism.t == pytest.approx(stepper.t, rel=1e-14)
+
+
+def test_c_library_run_of_stiff_equations_needs_a_workspace_and_no_events(exported):
+    compiled, library = exported("four_bar")
+    mechanism = library.new()
+    mechanism.x[:] = compiled.initial_state()
+    before = bytes(mechanism)
+    run = ("simulate_stiff", mechanism, 1.0, 1e-6, 1e-6, None, 0, None, None)
+    assert library.message(library.call(*run, None)) == "an argument is outside of its range"
+    assert bytes(mechanism) == before
+    assert library.call(*run, (ctypes.c_double * library.stiff_work)()) == 0
+    assert mechanism.t == 1.0
+
+
+@pytest.mark.parametrize("method", STEP_CONTROLLED)
 def test_c_library_finds_the_events_of_simulate(exported, method):
     """At the same states, whose rounding errors differ by fused instructions, over speeds of some 0.1 rad/s."""
     compiled, library = exported("four_bar")
@@ -256,14 +303,13 @@ def test_c_library_finds_the_events_of_simulate(exported, method):
         {"quantity": Watched.STATE, "number": 0, "terminal": 1},
     ]
     times = np.linspace(0.0, 4.0, 41)
-    how = {"method": method.name, "rtol": 1e-6, "atol": 1e-6}
+    how = {"method": method, "rtol": 1e-6, "atol": 1e-6}
     names = [fb.Event("u1", direction=1), lambda t, state: state[0] + 1.2, fb.Event("t", all_roots=False)]
     run = compiled.simulate((0.0, 4.0), x, events=names, t_eval=times, **how)
     for room in (100, 3):
         mechanism, events, states = library.new(), library.events(*given, room=room), np.zeros((41, compiled.n_x))
-        mechanism.x[:], mechanism.method = x, method
-        arguments = (4.0, 1e-6, 1e-6, times, 41, states, ctypes.byref(events))
-        assert library.call("simulate_events", mechanism, *arguments) == 0
+        mechanism.x[:] = x
+        assert library.simulate(mechanism, method, 4.0, 1e-6, times, states, events) == 0
         assert (events.n_found, events.ended_by, mechanism.t) == (sum(map(len, run.t_events)), -1, 4.0)
         assert events.n_found > 5
         found = [(events.found[k].t, events.found[k].event) for k in range(min(room, events.n_found))]
@@ -366,7 +412,7 @@ def test_c_library_refuses_events_that_are_none(exported):
 
 def test_c_library_without_such_a_method_says_so(exported):
     _, library = exported("four_bar")
-    for method in (-1, len(Method)):
+    for method in (-1, len(METHODS)):
         mechanism = library.new()
         mechanism.method = method
         status = library.call("simulate", mechanism, 1.0, 1e-4, 1e-4, None, 0, None)

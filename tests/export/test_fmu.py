@@ -21,7 +21,7 @@ from harness.programs import prepare_zig, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.building.compiler import cross_compiler
-from fourbar_codegen.roles import Method
+from fourbar_codegen.roles import STEP_CONTROLLED
 
 pytestmark = pytest.mark.slow
 
@@ -119,7 +119,7 @@ def test_fmu_in_co_simulation_gives_the_motion_of_simulate(fmus, fmi, four_bar):
     np.testing.assert_allclose(found["P2.x"], run.points["P2"][0], rtol=0, atol=1e-8)
 
 
-@pytest.mark.parametrize("method", [each.name for each in Method])
+@pytest.mark.parametrize("method", STEP_CONTROLLED)
 def test_fmu_in_co_simulation_steps_by_the_method_of_export(tmp_path, method):
     """Each communication step is a run of `simulate`: at a tolerance of 1e-4 other methods differ by that."""
     model = fb.models.four_bar()

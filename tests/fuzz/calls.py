@@ -299,8 +299,9 @@ def calls_of(name: str) -> dict[str, Call]:
         stepper = model.stepper(**given)
         return stepper.step(r), stepper.t, stepper.x, stepper.t_events, stepper.y_events, stepper.status
 
-    calls.add("stepper", step, h=1e-3, x0=x0, t=0.0, parameters=p, inputs=sources, events=["u1"], constraints="project",
-              r=r)  # fmt: skip
+    for name, method in {"stepper": "RK4", "stepper Radau": "Radau"}.items():
+        calls.add(name, step, h=1e-3, x0=x0, t=0.0, parameters=p, inputs=sources, events=["u1"],
+                  constraints="project", method=method, r=r)  # fmt: skip
     for solver in fb.solvers.__all__:
         # SciPy's classes have checks of their own.
         calls.add(f"solvers.{solver}", _solve(model, solver), t0=0.0, y0=x0, t_bound=0.05, max_step=math.inf, rtol=1e-6,

@@ -6,6 +6,7 @@ import re
 import numpy as np
 
 import fourbar_codegen as fb
+from fourbar_codegen.roles import METHODS, STIFF
 from harness.programs import compile_c
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
@@ -20,7 +21,7 @@ class Library:
         self.name = model.name
         self.folder = fb.export_c(model, folder)
         shared = folder / f"lib{self.name}.so"
-        sources = [folder / f"{self.name}.c", folder / f"{self.name}_derivatives.c"]
+        sources = [folder / f"{self.name}{part}.c" for part in ("", "_derivatives", "_stiff")]
         compile_c((compiler, *STRICT, "-fPIC", "-shared", "-lm"), sources, shared, include=[folder / "runtime"])
         header = (folder / f"{self.name}.h").read_text()
         self.sizes = {name: int(n) for name, n in re.findall(rf"    {self.name}_n_(\w+) = (\d+)", header)}
@@ -67,6 +68,7 @@ class Library:
 
         self.Event, self.Found, self.Events = Event, Found, Events
         self.event_work = int(re.search(rf"{self.name}_event_work = (\d+)", header)[1])
+        self.stiff_work = int(re.search(rf"{self.name}_stiff_work = (\d+)", header)[1])
         self.Mechanism, self.loaded = Mechanism, ctypes.CDLL(str(shared))
         self.function("message").restype = ctypes.c_char_p
         for name in ("violation", "relative_violation", "input", "next_breakpoint", "touched"):
@@ -100,6 +102,14 @@ class Library:
             else:
                 converted.append(ctypes.c_double(argument) if isinstance(argument, float) else argument)
         return self.function(name)(ctypes.byref(mechanism), *converted)
+
+    def simulate(self, mechanism, method, end, tolerance, times, states, events=None):
+        """A run by any method."""
+        arguments = (end, tolerance, tolerance, times, len(times), states, events and ctypes.byref(events))
+        if method == STIFF:
+            return self.call("simulate_stiff", mechanism, *arguments, (ctypes.c_double * self.stiff_work)())
+        mechanism.method = METHODS.index(method)
+        return self.call("simulate_events", mechanism, *arguments)
 
     def message(self, status):
         return self.function("message")(status).decode()

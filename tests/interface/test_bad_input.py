@@ -277,6 +277,7 @@ TABLE = {
         ({"r": {"G": 1.0}}, "'G'"),
         ({"r": [np.nan]}, "finite"),
         ({"events": ["q9"]}, "'q9'", "kinetic_energy"),
+        ({"method": "DOP853"}, "There is no method 'DOP853'", "RK4, Radau"),
     ],
     "ode.inputs_along": [({"times": [np.nan], "states": np.zeros((6, 1))}, "times", "finite")],
     "trajectory[]": [({"name": "q9"}, "'q9'", "q1, q2, q3")],
@@ -310,7 +311,7 @@ TABLE = {
         ({"ranges": ["l2"]}, "ranges= is a mapping"),
         ({"ranges": {"l9": (0, 1)}}, "There is no parameter or initial value 'l9'"),
         ({"height": 0}, "height must be a positive number of pixels"),
-        ({"method": "Radau"}, "There is no method for pages 'Radau'"),
+        ({"method": "LSODA"}, "There is no method for pages 'LSODA'", "Radau"),
         ({"t_span": (0.0, np.nan)}, "t_span"),
     ],
     "load": [

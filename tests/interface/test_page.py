@@ -150,7 +150,7 @@ def test_page_runs_by_the_method_asked_for(opened, four_bar):
     """The method of the page, and that of a script; at a tolerance of 1e-4 others differ by that."""
     page = opened(four_bar.page(method="RK45", t_span=(0.0, 1.0)))
     times = np.linspace(0.0, 1.0, 11)
-    for method, given in (("RK45", {}), ("DOP853", {"method": "DOP853"})):
+    for method, given in (("RK45", {}), ("DOP853", {"method": "DOP853"}), ("Radau", {"method": "Radau"})):
         found = simulated(page, times=times.tolist(), rtol=1e-4, atol=1e-4, **given)
         run = four_bar.simulate((0.0, 1.0), method=method, t_eval=times, rtol=1e-4, atol=1e-4)
         np.testing.assert_allclose(found["y"], run.y, rtol=0, atol=1e-10)

@@ -12,7 +12,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
-from fourbar_codegen.roles import METHODS as EXPLICIT
+from fourbar_codegen.roles import STEP_CONTROLLED
 
 if TYPE_CHECKING:
     import numpy as np
@@ -32,7 +32,7 @@ __all__ = [
     "with_options",
 ]
 
-SWEEP_METHODS = (*EXPLICIT, "Radau", "ALI3P")
+SWEEP_METHODS = (*STEP_CONTROLLED, "ALI3P")
 """Of ensembles."""
 
 METHODS = (*SWEEP_METHODS, "RK23", "BDF", "LSODA", "CVODE", "IDA")
@@ -170,7 +170,7 @@ _MODEL_AND_PARAMETERS = [
     ),
 ]  # fmt: skip
 
-PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER), _method(EXPLICIT)]
+PAGE_OPTIONS = [*_MODEL_AND_PARAMETERS, *_conditions(A_NUMBER), _method(STEP_CONTROLLED)]
 
 RUN_OPTIONS = [
     *_MODEL_AND_PARAMETERS,

@@ -16,7 +16,7 @@ from xml.etree import ElementTree as ET
 from fourbar_codegen.codegen.c_library import FOLDER
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import QUANTITIES, EventRow, Watched
+from fourbar_codegen.roles import QUANTITIES, STIFF, EventRow, Watched
 
 __all__ = [
     "Indicator",
@@ -366,7 +366,7 @@ def _variable_2(listed: ET.Element, variable: Variable) -> None:
 
 def sources_of(name: str) -> tuple[str, ...]:
     """The sources to compile."""
-    return f"{name}.c", f"{name}_derivatives.c", f"{name}_fmu.c"
+    return f"{name}.c", f"{name}_derivatives.c", f"{name}_stiff.c", f"{name}_fmu.c"
 
 
 def build_description(name: str) -> str:
@@ -433,7 +433,8 @@ def fmu_source(fmi: int, layout: Layout, method: str, indicators: Sequence[Indic
 #include "{name}.h"
 
 static const char fmu_token[] = "{token_of(layout)}";
-static const int fmu_method = {name}_{method.lower()}; /* of co-simulation */
+enum {{ FMU_IS_STIFF = {int(method == STIFF)} }}; /* whether co-simulation is by Radau IIA, or else by a method */
+static const int fmu_method = {name}_{"dop853" if method == STIFF else method.lower()};
 static const int fmu_has_rates[] = {{{has_rates}}}; /* whether an input prescribes a motion, and its rates follow */
 
 {_results(layout)}

@@ -30,7 +30,7 @@ from fourbar_codegen.presentation.html_page import (
     scene_data,
 )
 from fourbar_codegen.presentation.scene import Scene, known_points, scene
-from fourbar_codegen.roles import VECTORS, EventRow, Method, Watched
+from fourbar_codegen.roles import STEP_CONTROLLED, VECTORS, EventRow, Watched
 from fourbar_codegen.tables import Page
 
 if TYPE_CHECKING:
@@ -176,7 +176,7 @@ def _text(
         "frames": {"rate": FRAMES_PER_SECOND, "least": MIN_FRAMES, "most": MAX_FRAMES},
         "arrow": ARROW,
         "t_span": [float(time) for time in run.settings["t_span"]],
-        "methods": {method.name: int(method) for method in Method},
+        "methods": {name: number for number, name in enumerate(STEP_CONTROLLED)},
         "method": run.settings["method"],
         "rtol": run.settings["rtol"],
         "atol": run.settings["atol"],

@@ -15,6 +15,7 @@ cdef extern from "fourbar_kernel.h":
     int FB_MASS_SINGULAR
     int FB_NOT_FINITE
     int FB_NOT_CLOSED
+    int FB_NOT_SOLVED
     int FB_CONSTRAINTS_INDEPENDENT
     int FB_FORCES_UNDETERMINED
     int FB_FORCES_NOT_FOUND
@@ -125,7 +126,7 @@ cdef extern from "kernel/problem.h":
     void fb_problem_results(const fb_problem *, int, double, const double *, const double *, const double *,
                             const double *const *, double *const *) noexcept nogil
     int fb_problem_rates(void *, double, const double *, double *) noexcept nogil
-    int fb_problem_jacobian(fb_problem *, double, const double *, double *) noexcept nogil
+    int fb_problem_jacobian(fb_problem *, const fb_function *, double, const double *, double *) noexcept nogil
     int fb_problem_project(fb_problem *, double, double *, int) noexcept nogil
     int fb_finite(const double *, int) noexcept nogil
 

@@ -462,6 +462,10 @@ cdef class Evaluator:
                 "has not converged. There may be none, as in Painleve's paradox, or the loads change too abruptly with "
                 "them."
             )
+        if status == FB_NOT_SOLVED:
+            return (
+                f"The equations of a step cannot be solved {where}, not even of much shorter ones: the motion may "
+                "end there, or forces may jump with the state.")
         if status == FB_NOT_CLOSED:
             return f"The loops cannot be closed {where}: no state nearby satisfies the constraints."
         return (

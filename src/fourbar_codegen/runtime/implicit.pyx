@@ -53,7 +53,8 @@ cdef class Rates:
     def jacobian(self, double t, cnp.ndarray x, rates, cnp.ndarray matrix):
         """dx'/dx, (n_x, n_x)."""
         self.ode.evaluator.function(FB_STATE_PARTIALS)
-        self.ode.check(fb_problem_jacobian(&self.ode.problem, t, _at(x), _at(matrix)))
+        self.ode.check(fb_problem_jacobian(
+            &self.ode.problem, self.ode.evaluator.functions, t, _at(x), _at(matrix)))
 
 
 @cython.final

@@ -189,6 +189,7 @@ class Stepper:
         jumps: Sequence[tuple[float, float, Sequence[int]]] = (),
         breakpoints: ArrayLike = ((), (), ()),
         events: Sequence[EventRow] = (),
+        method: str = "RK4",
     ) -> None: ...
     def step(self, r: Values | None = None) -> Floats: ...
 

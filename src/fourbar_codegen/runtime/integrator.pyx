@@ -10,9 +10,9 @@ from libc.string cimport memcpy, memset
 
 from fourbar_codegen.runtime.evaluator cimport (
     FB_BREAKPOINTS, FB_CONSTRAINT_JVP, FB_ENERGY, FB_LAST, FB_LAST_ANY, FB_OK, FB_STATE_PARTIALS, Evaluator, data,
-    fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_problem_results,
-    fb_kernel, fb_problem, fb_problem_jacobian, fb_problem_project, fb_problem_rates, fb_source, fb_table, fb_time,
-    new_array, number, numbers, rows, time_of, vector)
+    fb_all_time, fb_clock, fb_fill_inputs, fb_finite, fb_function, fb_kernel, fb_problem, fb_problem_jacobian,
+    fb_problem_project, fb_problem_rates, fb_problem_results, fb_source, fb_table, fb_time, new_array, number, numbers,
+    rows, time_of, vector)
 
 import numpy as np
 
@@ -65,7 +65,9 @@ cdef extern from "steppers/runge_kutta.h":
                          void *, double *) noexcept nogil
     const fb_method fb_runge_kutta
     double fb_fixed_time(double, double, int64_t) noexcept nogil
+    double FB_STEP_TOLERANCE
     int fb_fixed_step(fb_stepper *, double, double) noexcept nogil
+    int fb_fixed_part(fb_stepper *, double, double) noexcept nogil
 
 cdef extern from "steppers/ali3p.h":
     const fb_method fb_augmented_lagrangian
@@ -77,6 +79,7 @@ cdef extern from "steppers/radau.h":
     const fb_tableau fb_radau_iia
     const fb_method fb_radau_method
     ctypedef struct fb_radau:
+        const fb_function *functions
         int64_t n_jacobians, n_factorizations
     size_t fb_place_radau(int, fb_radau *, double *) noexcept nogil
 
@@ -522,7 +525,8 @@ cdef class Ode:
         cdef cnp.ndarray state = vector(x, self.evaluator.n_x, "The state x")
         cdef cnp.ndarray result = new_array(self.evaluator.n_x, self.evaluator.n_x)
         self.evaluator.function(FB_STATE_PARTIALS)
-        self.check(fb_problem_jacobian(&self.problem, t, data(state), data(result)))
+        self.check(fb_problem_jacobian(
+            &self.problem, self.evaluator.functions, t, data(state), data(result)))
         return result
 
 
@@ -663,6 +667,16 @@ cdef const fb_method *_steps_of(str method) noexcept:
     if method == "ALI3P":
         return &fb_augmented_lagrangian
     return &fb_radau_method if method == "Radau" else &fb_runge_kutta
+
+
+cdef cnp.ndarray _place_radau(fb_stepper *stepper, Ode ode, fb_radau *radau):
+    """Set the workspace of Radau IIA, and its memory, which is returned."""
+    cdef cnp.ndarray memory = np.zeros(fb_place_radau(stepper.n, radau, NULL))
+    fb_place_radau(stepper.n, radau, data(memory))
+    stepper.own = radau
+    ode.evaluator.function(FB_STATE_PARTIALS)
+    radau.functions = ode.evaluator.functions if ode.has_jacobian else NULL
+    return memory
 
 
 cdef int set_event(fb_event *event, row, int place) except -1:
@@ -955,16 +969,12 @@ cdef class Run:
         cdef fb_stepper *stepper = &self.run.stepper
         cdef const fb_kernel *kernel = self.ode.evaluator.kernel
         if method == "Radau":
-            stepper.own = &self.radau
-            memory = np.zeros(fb_place_radau(stepper.n, &self.radau, NULL))
-            fb_place_radau(stepper.n, &self.radau, <double *>self._keep(memory))
+            self.kept.append(_place_radau(stepper, self.ode, &self.radau))
         elif method == "ALI3P":
             stepper.own = &self.augmented
             memory = np.zeros(fb_place_augmented(kernel, &self.augmented, NULL))
             fb_place_augmented(kernel, &self.augmented, <double *>self._keep(memory))
-        else:
-            return
-        self.ode.evaluator.function(FB_STATE_PARTIALS)
+            self.ode.evaluator.function(FB_STATE_PARTIALS)
 
     @property
     def found(self):
@@ -1398,8 +1408,9 @@ cdef class Steps:
 cdef class Stepper:
     """Advances a mechanism by fixed steps, for control loops and real time.
 
-    Each step is one of the classical Runge-Kutta method (four evaluations, no error control), followed by a projection
-    of the state onto the constraints; or several, which end at the breakpoints of forces and tables. It is
+    Each step is one of the classical Runge-Kutta method (four evaluations), or of Radau IIA for stiff equations,
+    without error control, followed by a projection of the state onto the constraints; or several, which end at the
+    breakpoints of forces and tables, or are shorter because the equations of an implicit step have no solution. It is
     one run: each thread needs a stepper of its own.
 
     Attributes
@@ -1413,14 +1424,17 @@ cdef class Stepper:
     t_events : list of ndarray, shape (n_found,)
         For each event its times within the last step.
     y_events : list of ndarray, shape (n_found, n_x)
-        The states there, by the cubic Hermite polynomial through both ends of the step, projected onto the
-        constraints.
+        The states there, by the cubic Hermite polynomial through both ends of the step, or the collocation polynomial
+        of Radau IIA, projected onto the constraints.
 
-    Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, sections II.1 and II.6.
+    Source: E. Hairer, S. P. Norsett, G. Wanner, *Solving Ordinary Differential Equations I*, sections II.1 and II.6;
+    E. Hairer, G. Wanner, *Solving Ordinary Differential Equations II*, section IV.8.
     """
 
     cdef Ode ode
     cdef fb_run run
+    cdef fb_radau radau
+    cdef str method
     cdef object events
     cdef readonly list t_events
     cdef readonly list y_events
@@ -1437,18 +1451,26 @@ cdef class Stepper:
     # The rows of breakpoints are the times, the last ones before them, and the first ones after them.
 
     def __cinit__(self, Ode ode not None, double h, double t, x, bint project, int64_t n_steps=0, jumps=(),
-                  breakpoints=((), (), ()), events=()):
+                  breakpoints=((), (), ()), events=(), str method="RK4"):
         cdef int n = ode.evaluator.n_x
         cdef cnp.ndarray state = vector(x, n, "The state x")
         cdef fb_stepper *stepper = &self.run.stepper
         cdef fb_watch *watch = &self.run.watch
-        self.ode, self.h, self.jumps, self.t_begin, self.events = ode, h, tuple(jumps), t, tuple(events)
+        cdef double *tolerance
+        self.ode, self.h, self.jumps, self.t_begin, self.events, self.method = (
+            ode, h, tuple(jumps), t, tuple(events), method)
         self.breakpoints = np.array(breakpoints, dtype=np.float64, order="C")
         self.breaks.n, self.breaks.times = self.breakpoints.shape[1], data(self.breakpoints)
         self.breaks.before = self.breaks.times + self.breaks.n
         self.breaks.after = self.breaks.before + self.breaks.n
         self.breaks.first, self.breaks.last = -np.copysign(INFINITY, h), np.copysign(INFINITY, h)
-        self.kept = [_place(stepper, ode, &fb_runge_kutta, &fb_rk4, 4 * FB_PADDED(n), &watch.along)]
+        self.kept = [_place(
+            stepper, ode, _steps_of(method), &fb_radau_iia if method == "Radau" else &fb_rk4, 4 * FB_PADDED(n) + n,
+            &watch.along)]
+        if method == "Radau":
+            tolerance = watch.along + 4 * FB_PADDED(n)
+            stepper.rtol = stepper.atol = _fill(tolerance, FB_STEP_TOLERANCE, n)
+            self.kept.append(_place_radau(stepper, ode, &self.radau))
         stepper.project, stepper.n_steps, stepper.t = project, n_steps, fb_fixed_time(t, h, n_steps)
         memcpy(stepper.x, data(state), n * sizeof(double))
         self.run.direction, self.run.t_end, watch.ended_by = np.copysign(1.0, h), self.breaks.last, -1
@@ -1462,7 +1484,8 @@ cdef class Stepper:
 
     def __reduce__(self):
         cdef fb_stepper *stepper = &self.run.stepper
-        run = (self.t_begin, self.x, bool(stepper.project), stepper.n_steps, self.jumps, self.breakpoints, self.events)
+        run = (self.t_begin, self.x, bool(stepper.project), stepper.n_steps, self.jumps, self.breakpoints, self.events,
+               self.method)
         state = (stepper.t, self._stored_events(), self.run.watch.ended_by, self.t_events, self.y_events)
         return Stepper, (self.ode, self.h, *run), state
 
@@ -1521,7 +1544,7 @@ cdef class Stepper:
         elif held:
             self._hold(held)
         problem.status = FB_OK
-        if self.breaks.n or self.events:
+        if self.breaks.n or self.events or stepper.own != NULL:
             status = self._step_in_parts()
         else:
             status = fb_fixed_step(stepper, self.h, self._time_after(1))
@@ -1561,8 +1584,8 @@ cdef class Stepper:
         return 0
 
     cdef int _step_in_parts(self) noexcept:
-        """A step in parts that end at breakpoints, each with the inputs on its own side of these, up to an event that
-        ends the run; the kernel's status."""
+        """A step in parts that end at breakpoints, each with the inputs on its own side of these, or are shorter
+        because their equations have no solution, up to an event that ends the run; the kernel's status."""
         cdef fb_run *run = &self.run
         cdef fb_stepper *stepper = &run.stepper
         cdef cnp.ndarray start = _state_of(stepper)
@@ -1575,7 +1598,7 @@ cdef class Stepper:
         while status == FB_OK and stepper.t != t_new and run.watch.ended_by < 0:
             h = fb_enter_part(stepper, self.h, t_old, t_new, fb_segment_ahead, &passed, &t_bound)
             if not self.events:
-                status = fb_fixed_step(stepper, h, t_bound)
+                status = fb_fixed_part(stepper, h, t_bound)
             else:
                 status = fb_watched_step(run, h, t_bound)
                 if status == FB_OK:

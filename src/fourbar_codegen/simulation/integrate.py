@@ -17,11 +17,11 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
-from fourbar_codegen.roles import StopReason, Watched
+from fourbar_codegen.roles import STIFF, StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch, watched_quantity
-from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, STIFF, RunOptions
+from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
 from fourbar_codegen.simulation.singularity import singular_message
 
 if TYPE_CHECKING:

@@ -30,20 +30,17 @@ from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
-from fourbar_codegen.roles import METHODS
+from fourbar_codegen.roles import METHODS, STEP_CONTROLLED
 from fourbar_codegen.simulation.events import Event, events_of
 
-__all__ = ["FIXED_STEP", "IN_C", "SOLVERS", "STIFF", "RunOptions"]
+__all__ = ["FIXED_STEP", "IN_C", "SOLVERS", "RunOptions"]
 
 Floats = NDArray[np.float64]
 
 FIXED_STEP = "ALI3P"
 """The method that passes singular positions, with a fixed step size; see ``steppers/ali3p.h``."""
 
-STIFF = "Radau"
-"""The method for stiff equations; see ``steppers/radau.h``."""
-
-IN_C = (*METHODS, STIFF, FIXED_STEP)
+IN_C = (*STEP_CONTROLLED, FIXED_STEP)
 """Methods that are entirely in C: those of ensembles."""
 
 SOLVERS = ("RK23", "BDF", "LSODA", "CVODE", "IDA")

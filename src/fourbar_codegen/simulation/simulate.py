@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import initial_state
-from fourbar_codegen.arguments import Values, finite_number, name_of, named_array
+from fourbar_codegen.arguments import Values, finite_number, name_of, named_array, one_of
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.inputs import InputSource, bind
@@ -27,6 +27,7 @@ from fourbar_codegen.kernel.sensitivity import (
 from fourbar_codegen.layout import StateJump
 from fourbar_codegen.progress import QUIET_SECONDS, Progress
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.roles import STIFF
 from fourbar_codegen.runtime.integrator import Stepper
 from fourbar_codegen.simulation.discontinuities import boundaries, jumping_inputs
 from fourbar_codegen.simulation.events import EventLike, event_rows, events_of
@@ -36,6 +37,9 @@ from fourbar_codegen.simulation.options import FIXED_STEP, RunOptions
 __all__ = ["make_stepper", "simulate"]
 
 Floats = NDArray[np.float64]
+
+STEPS = ("RK4", STIFF)
+"""Methods of steppers."""
 
 
 def simulate(model: Kernel, options: RunOptions, directions: Directions | None = None) -> Trajectory:
@@ -142,11 +146,13 @@ def make_stepper(
     inputs: Mapping[Any, InputSource] | None,
     events: EventLike | Sequence[EventLike] | None,
     constraints: str,
+    method: str,
 ) -> Stepper:
     """A stepper with a fixed step size; see `CompiledModel.stepper`."""
     h, t = finite_number(h, "h"), finite_number(t, "t")
     if h == 0.0:
         raise ModelError("The step h must not be 0.")
+    one_of(method, STEPS, "method")
     watched = event_rows(model, events_of(model, events) or ())
     closes = projects(model, constraints)
     p = model.parameter_vector(parameters)
@@ -160,4 +166,4 @@ def make_stepper(
     jumps, kinks = boundaries(ode, t, math.copysign(math.inf, h), start)
     jumping = [(at.end, at.begin, jumping_inputs(ode, at, start)) for at in jumps]
     breakpoints = np.array([(at.end, at.last, at.first) for at in kinks]).reshape(-1, 3).T
-    return Stepper(ode, h, t, start, closes, jumps=jumping, breakpoints=breakpoints, events=watched)
+    return Stepper(ode, h, t, start, closes, jumps=jumping, breakpoints=breakpoints, events=watched, method=method)

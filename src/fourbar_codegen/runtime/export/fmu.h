@@ -1,10 +1,10 @@
 /* What FMUs of both versions of FMI have in common: an instance around a mechanism, its modes, and its variables.
  *
  * Included by export/fmi2.h or export/fmi3.h, in a source that includes the header of the model as a C library, and
- * defines FB_MODEL, fmu_token, fmu_method, fmu_has_rates, what results an FMU has: FMU_N_RESULTS, in groups that are
- * evaluated at once by fmu_fill, and end before the numbers in fmu_ends; and its events: FMU_N_EVENTS, fmu_events, and
- * fmu_indicators, their value references. Value references are numbers in this order: time, states, their derivatives,
- * parameters, inputs, results.
+ * defines FB_MODEL, fmu_token, fmu_method, FMU_IS_STIFF, fmu_has_rates, what results an FMU has: FMU_N_RESULTS, in
+ * groups that are evaluated at once by fmu_fill, and end before the numbers in fmu_ends; and its events: FMU_N_EVENTS,
+ * fmu_events, and fmu_indicators, their value references. Value references are numbers in this order: time, states,
+ * their derivatives, parameters, inputs, results.
  *
  * Source: Modelica Association, Functional Mock-up Interface, versions 2.0.5 and 3.0.2, https://fmi-standard.org.
  */
@@ -19,9 +19,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#define FB_JOINED(model, name) model##_##name
-#define FB_NAMED(model, name) FB_JOINED(model, name)
-#define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
+#include "public_names.h"
 
 enum {
     N_X = FB_PUBLIC(n_x),
@@ -92,6 +90,7 @@ typedef struct fmu {
     fmu_state state;
     int logs, returns_early; /* whether steps of co-simulation may end at events */
     double work[FMU_AT_LEAST_1(FMU_N_EVENTS) * FB_PUBLIC(event_work)];
+    double stiff_work[FMU_IS_STIFF ? FB_PUBLIC(stiff_work) : 1];
     char *name;
     void *environment;
     void (*write)(struct fmu *fmu, int is_error, const char *text);
@@ -421,7 +420,7 @@ static int fmu_note_signs(fmu *f, const int is_event)
 }
 
 /* The mechanism is where an event was found. */
-static void fmu_move_to(struct FB_MODEL *m, const struct FB_NAMED(FB_MODEL, found) * found)
+static void fmu_move_to(struct FB_MODEL *m, const struct FB_FOUND *found)
 {
     m->t = found->t;
     memcpy(m->x, found->x, sizeof m->x);
@@ -433,17 +432,19 @@ static int fmu_run(fmu *f, const double end)
 {
     fmu_state *const s = &f->state;
     struct FB_MODEL *const m = &s->model;
-    struct FB_NAMED(FB_MODEL, event) event[FMU_AT_LEAST_1(FMU_N_EVENTS)];
-    struct FB_NAMED(FB_MODEL, found) found[FMU_ROOM];
-    struct FB_NAMED(FB_MODEL, events)
-        events = {.n = FMU_N_EVENTS, .event = event, .work = f->work, .found = found, .room = FMU_ROOM};
+    struct FB_EVENT event[FMU_AT_LEAST_1(FMU_N_EVENTS)];
+    struct FB_FOUND found[FMU_ROOM];
+    struct FB_EVENTS events = {.n = FMU_N_EVENTS, .event = event, .work = f->work, .found = found, .room = FMU_ROOM};
     for (;;) {
         memcpy(event, fmu_events, sizeof event);
         for (int i = 0; i < FMU_N_EVENTS; ++i) {
             event[i].terminal = 0;
             event[i].at_start &= m->t == s->start;
         }
-        const int status = FB_PUBLIC(simulate_events)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL, &events);
+        const int status =
+            FMU_IS_STIFF
+                ? FB_PUBLIC(simulate_stiff)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL, &events, f->stiff_work)
+                : FB_PUBLIC(simulate_events)(m, end, s->tolerance, s->tolerance, NULL, 0, NULL, &events);
         const int n = events.n_found < FMU_ROOM ? (int)events.n_found : FMU_ROOM;
         for (int k = 0; k < n; ++k) {
             fmu_count(f, found[k].event);

@@ -11,13 +11,7 @@
 
 #include "../kernel/loop_closure.h"
 #include "../run/driver.h"
-
-#define FB_JOINED(model, name) model##_##name
-#define FB_NAMED(model, name) FB_JOINED(model, name)
-#define FB_PUBLIC(name) FB_NAMED(FB_MODEL, name)
-#define FB_EVENT FB_PUBLIC(event)
-#define FB_FOUND FB_PUBLIC(found)
-#define FB_EVENTS FB_PUBLIC(events)
+#include "public_names.h"
 
 /* Who includes this may set the values of inputs by a function of its own, and then define FB_CHANGES, the largest
  * number of their breakpoints, and FB_NEXT_CHANGE, the next of these times between two others, or the second one. */
@@ -151,14 +145,15 @@ static fb_problem *problem_now(struct FB_MODEL *model, double *t)
 }
 
 /* The run at the present state. */
-static fb_run *run_of(struct FB_MODEL *model, const fb_tableau *tableau)
+static fb_run *run_of(struct FB_MODEL *model, const fb_steps *steps)
 {
     fb_own *const own = own_of(model);
     fb_run *const run = &own->run;
     fb_stepper *const stepper = &run->stepper;
     stepper->problem = problem_of(model);
     stepper->project = N_C + N_I > 0;
-    run->watch.along = own->rows + fb_place_stepper(stepper, &fb_runge_kutta, tableau, N_X, own->rows);
+    run->watch.along = own->rows + fb_place_stepper(stepper, steps->method, steps->tableau, N_X, own->rows);
+    stepper->own = steps->own;
     stepper->rtol = own->rtol;
     stepper->atol = own->atol;
     memset(stepper->x, 0, N_PADDED * sizeof *stepper->x);
@@ -398,11 +393,15 @@ void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval)
     clock->last = interval[1];
 }
 
-int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
+/* A step of length h by any method. */
+int FB_PUBLIC(advance)(struct FB_MODEL *model, const fb_steps *steps, const double h)
 {
-    fb_run *const run = run_of(model, order == 8 ? &fb_dop853 : &fb_rk4);
-    if (!(order == 4 || order == 8) || !isfinite(h) || !isfinite(model->t))
+    fb_own *const own = own_of(model);
+    fb_run *const run = run_of(model, steps);
+    if (!isfinite(h) || !isfinite(model->t))
         return FB_INVALID_ARGUMENT;
+    for (int i = 0; i < N_X; ++i)
+        own->rtol[i] = own->atol[i] = FB_STEP_TOLERANCE;
     if (N_MOTION_BREAKPOINTS > 0 && jumps_between(run->stepper.problem, model->t, model->t + h))
         return FB_SPEEDS_JUMP;
     const double t_end = model->t + h;
@@ -413,12 +412,20 @@ int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
     return status;
 }
 
+int FB_PUBLIC(step)(struct FB_MODEL *model, const double h, const int order)
+{
+    if (order != 4 && order != 8)
+        return FB_INVALID_ARGUMENT;
+    const fb_steps steps = {&fb_runge_kutta, order == 8 ? &fb_dop853 : &fb_rk4, NULL};
+    return FB_PUBLIC(advance)(model, &steps, h);
+}
+
 /* Whether a run to t_end can store its states at these times, which are in its order. */
 static int is_run(const struct FB_MODEL *model, const double t_end, const double *times, const long n_times,
                   const double *states)
 {
     const double begin = model->t;
-    if (model->method < 0 || model->method >= FB_N_METHODS || !isfinite(begin) || !isfinite(t_end))
+    if (!isfinite(begin) || !isfinite(t_end))
         return 0;
     if (n_times < 0 || (n_times > 0 && (times == NULL || states == NULL)))
         return 0;
@@ -520,8 +527,9 @@ static int note_events(struct FB_MODEL *model, fb_run *run, struct FB_EVENTS *ev
     return 1;
 }
 
-int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
-                               const double *times, const long n_times, double *states, struct FB_EVENTS *events)
+/* A run by any method. */
+int FB_PUBLIC(run)(struct FB_MODEL *model, const fb_steps *steps, const double t_end, const double rtol,
+                   const double atol, const double *times, const long n_times, double *states, struct FB_EVENTS *events)
 {
     fb_own *const own = own_of(model);
     double scratch[N_U + N_L + N_O + 12];
@@ -529,7 +537,7 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
     if (!is_run(model, t_end, times, n_times, states) || !(rtol > 0.0 && rtol < INFINITY) ||
         !(atol > 0.0 && atol < INFINITY))
         return FB_INVALID_ARGUMENT;
-    fb_run *const run = run_of(model, fb_tableaus[model->method]);
+    fb_run *const run = run_of(model, steps);
     fb_stepper *const stepper = &run->stepper;
     const double begin = model->t;
     if (!watch_events(run, events, scratch))
@@ -575,6 +583,15 @@ int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const
     }
     reach(model, run, t_end);
     return FB_OK;
+}
+
+int FB_PUBLIC(simulate_events)(struct FB_MODEL *model, const double t_end, const double rtol, const double atol,
+                               const double *times, const long n_times, double *states, struct FB_EVENTS *events)
+{
+    if (model->method < 0 || model->method >= FB_N_METHODS)
+        return FB_INVALID_ARGUMENT;
+    const fb_steps steps = {&fb_runge_kutta, fb_tableaus[model->method], NULL};
+    return FB_PUBLIC(run)(model, &steps, t_end, rtol, atol, times, n_times, states, events);
 }
 
 double FB_PUBLIC(touched)(struct FB_MODEL *model, const struct FB_EVENTS *events, const int event)

@@ -108,7 +108,10 @@ static double next_change(const double begin, const double end)
 
 #include "library.h"
 
+#include "stiff_run.h"
+
 static struct FB_MODEL mechanism;
+static double stiff_work[FB_RADAU_LENGTH(N_X)];
 
 /* The events of runs. */
 static struct FB_EVENTS watched;
@@ -272,7 +275,8 @@ int FB_EXPORT(evaluate)(const double t, const double *x, double *rates)
     return FB_PUBLIC(rhs)(&mechanism, t, x, rates);
 }
 
-/* A run from the present state, with the states at n times in rows. Where it fails, `time_reached` is where it ended.
+/* A run from the present state by one of FB_METHOD, or by Radau IIA, whose number is the next one; with the states at n
+ * times in rows. Where it fails, `time_reached` is where it ended.
  */
 int FB_EXPORT(simulate)(const int method, const double begin, const double end, const double rtol, const double atol,
                         const double *times, const long n, double *states)
@@ -281,7 +285,9 @@ int FB_EXPORT(simulate)(const int method, const double begin, const double end, 
     mechanism.t = begin;
     own_of(&mechanism)->run.samples.next_time = own_of(&mechanism)->run.stepper.n_evaluations =
         0; /* if it does not begin */
-    return FB_PUBLIC(simulate_events)(&mechanism, end, rtol, atol, times, n, states, &watched);
+    return method == FB_N_METHODS
+               ? FB_PUBLIC(simulate_stiff)(&mechanism, end, rtol, atol, times, n, states, &watched, stiff_work)
+               : FB_PUBLIC(simulate_events)(&mechanism, end, rtol, atol, times, n, states, &watched);
 }
 
 /* Of the position constraints, and of those of velocity that keep no position, as `Trajectory.constraint_residual`. */

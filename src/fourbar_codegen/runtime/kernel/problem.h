@@ -158,17 +158,18 @@ static inline void fb_problem_results(const fb_problem *s, const enum FB_ROLE ro
 #endif
 }
 
-/* dx'/dx; zeros where the equations cannot be evaluated, since factorizations refuse NaN. x' is NaN there, and fails
- * the step. */
-static inline int fb_problem_jacobian(fb_problem *s, const double since, const double *x, double *matrix)
+/* dx'/dx by the functions of a table or a part; zeros where the equations cannot be evaluated, since factorizations
+ * refuse NaN. x' is NaN there, and fails the step. */
+static inline int fb_problem_jacobian(fb_problem *s, const fb_function *functions, const double since, const double *x,
+                                      double *matrix)
 {
     const double t = fb_time(&s->clock, since);
     const int n = s->kernel->n_x;
     const int called = fb_fill_inputs(s, t, x);
     if (called < 0)
         return called;
-    const int status = s->kernel->differentiate(s->kernel->functions, FB_STATE_PARTIALS, n, t, x, s->constants,
-                                                s->inputs, matrix, NULL, s->work);
+    const int status =
+        s->kernel->differentiate(functions, FB_STATE_PARTIALS, n, t, x, s->constants, s->inputs, matrix, NULL, s->work);
     if (status != FB_OK) {
         fb_note_failure(s, status, t, x);
         memset(matrix, 0, (size_t)(n * n) * sizeof *matrix);

@@ -71,21 +71,26 @@ static const fb_tableau fb_radau_iia = {.n_stages = FB_AT_MOST(4, FB_MAX_STAGES 
 enum { FB_STEPS_FROM_ZERO = 20 };
 
 typedef struct fb_radau {
-    double *jacobian;       /* (n, n) */
-    double *real, *re, *im; /* (n, n): L U of the real and the complex matrix */
-    double *z, *w, *change; /* (3, n) */
-    double *rates;          /* (3, n) */
-    double *last;           /* (3, padded): the polynomial of the step before */
-    double *scale, *side;   /* (n,) */
-    double *stage;          /* (padded,) */
+    const fb_function *functions; /* of the model's derivatives, or NULL: then by difference quotients */
+    double *jacobian;             /* (n, n) */
+    double *real, *re, *im;       /* (n, n): L U of the real and the complex matrix */
+    double *z, *w, *change;       /* (3, n) */
+    double *rates;                /* (3, n) */
+    double *last;                 /* (3, padded): the polynomial of the step before */
+    double *scale, *side;         /* (n,) */
+    double *stage;                /* (padded,) */
     int *real_rows, *complex_rows;
     double h_last;       /* the length of the step before, with its sign; 0 if there is none */
     double h_abs, error; /* of the last accepted step, for the step control; 0 before the first one */
     int64_t step;        /* the number of the step whose Jacobian it is, or -1 */
-    int rejected, iterations, diverged;
-    int from_zero; /* the number of steps whose iterations begin from zero */
+    int rejected;
+    int iterations; /* of the last attempt, 0 if its equations were not solved */
+    int from_zero;  /* the number of steps whose iterations begin from zero */
     int64_t n_jacobians, n_factorizations;
 } fb_radau;
+
+/* The length of the arrays for n states, in doubles. */
+#define FB_RADAU_LENGTH(n) (4 * (n) * (n) + 14 * (n) + 4 * FB_PADDED(n) + 2 * (((n) + 1) / 2))
 
 /* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
 static inline size_t fb_place_radau(const int n, fb_radau *m, double *memory)
@@ -106,15 +111,14 @@ static inline size_t fb_place_radau(const int n, fb_radau *m, double *memory)
     return length;
 }
 
-/* dx'/dx at the beginning of a step of length h. Callbacks and a stabilization are not in the compiled one: then by
- * difference quotients. */
+/* dx'/dx at the beginning of a step of length h. */
 static inline int fb_radau_jacobian(fb_stepper *s, fb_radau *m, const double h)
 {
     const int n = s->n;
     double *const x = m->stage, *const rates = m->rates;
     m->n_jacobians += 1;
-    if (!s->problem->called_inputs && s->problem->stabilization == 0.0)
-        return fb_problem_jacobian(s->problem, s->t, s->x, m->jacobian);
+    if (m->functions)
+        return fb_problem_jacobian(s->problem, m->functions, s->t, s->x, m->jacobian);
     memcpy(x, s->x, (size_t)n * sizeof *x);
     for (int j = 0; j < n; ++j) {
         const double size = fb_max(fabs(s->x[j]), fabs(h * s->stages[j]));
@@ -230,6 +234,9 @@ static inline int fb_solve_radau(fb_stepper *s, fb_radau *m, const double h)
     for (int i = 0; i < s->n; ++i)
         rtol = s->rtol[i] > 0.0 ? fb_min(rtol, s->rtol[i]) : rtol;
     const double tolerance = fb_max(10.0 * DBL_EPSILON / rtol, fb_min(0.03, sqrt(rtol)));
+    /* Without a step before, the first change may be small by chance, so that the second one is no reason to give up.
+     */
+    const int first = m->h_last == 0.0 ? 2 : 1;
     for (int k = 0; k < FB_NEWTON_ITERATIONS; ++k) {
         const int status = fb_radau_rates(s, m, h);
         if (status <= 0)
@@ -238,9 +245,9 @@ static inline int fb_solve_radau(fb_stepper *s, fb_radau *m, const double h)
         m->iterations = k + 1;
         if (change <= 1e-3 * tolerance || (k > 0 && rate < 1.0 && rate / (1.0 - rate) * change < tolerance))
             return 1;
-        if (k > 0 && !(pow(rate, FB_NEWTON_ITERATIONS - 1 - k) / (1.0 - rate) * change <= tolerance))
+        if (k >= first && !(pow(rate, FB_NEWTON_ITERATIONS - 1 - k) / (1.0 - rate) * change <= tolerance))
             return 0; /* also if the rate is 1 or more, or NaN */
-        if (k > 0 && !(rate < 1.0))
+        if (k >= first && !(rate < 1.0))
             return 0;
         last = change;
     }
@@ -277,36 +284,54 @@ static inline int fb_radau_error_of(fb_stepper *s, fb_radau *m, const double h, 
     return 0;
 }
 
-static inline int fb_radau_attempt(fb_stepper *s, const double t_new, double *error)
+/* The stages and the end of a step: 1 if its equations are solved. */
+static inline int fb_take_radau(fb_stepper *s, fb_radau *m, const double h)
 {
-    fb_radau *const m = s->own;
     const int n = s->n;
-    const double h = t_new - s->t;
-    int status = m->step == s->n_steps ? 0 : fb_begin_radau(s, m, h);
-    if (status < 0)
-        return status;
-    m->diverged = 1;
     if (!fb_factor_radau(s, m, h))
         return 0;
     const int is_first = m->h_last == 0.0, is_zero = is_first || m->from_zero > 0;
     fb_guess_radau(s, m, h, is_zero);
-    status = fb_solve_radau(s, m, h);
+    int status = fb_solve_radau(s, m, h);
     if (status == 0 && !is_first) {
         fb_guess_radau(s, m, h, !is_zero);
         status = fb_solve_radau(s, m, h);
         m->from_zero = status > 0 ? !is_zero * FB_STEPS_FROM_ZERO : m->from_zero;
     }
-    if (status <= 0)
-        return status;
-    m->diverged = 0;
-    for (int i = 0; i < n; ++i)
+    for (int i = 0; i < n && status > 0; ++i) {
         s->x_new[i] = s->x[i] + m->z[2 * n + i];
-    status = fb_radau_error_of(s, m, h, error);
-    for (int k = 0; k < 3; ++k)
-        for (int i = 0; i < n; ++i)
+        for (int k = 0; k < 3; ++k)
             s->stages[(k + 1) * s->padded + i] = m->z[k * n + i] / h;
+    }
+    return status;
+}
+
+static inline int fb_radau_attempt(fb_stepper *s, const double t_new, double *error)
+{
+    fb_radau *const m = s->own;
+    const double h = t_new - s->t;
+    int status = m->step == s->n_steps ? 0 : fb_begin_radau(s, m, h);
+    if (status == 0)
+        status = fb_take_radau(s, m, h);
+    if (status <= 0) {
+        m->iterations = 0;
+        return status;
+    }
+    status = fb_radau_error_of(s, m, h, error);
     m->rejected |= !(*error < 1.0);
     return status < 0 || s->project ? status : fb_evaluate(s, t_new, s->x_new, fb_end_rates(s));
+}
+
+/* The iterations begin from zero: inputs that are held may have changed, and copies go on alike. */
+static inline int fb_radau_stages(fb_stepper *s, const double h)
+{
+    s->fsal = 0;
+    int status = fb_begin_radau(s, s->own, h);
+    if (status == 0)
+        status = fb_take_radau(s, s->own, h);
+    if (status == 0) /* also where the equations have no value at a stage */
+        return s->problem->status != FB_OK ? s->problem->status : FB_NOT_SOLVED;
+    return status < 0 ? status : FB_OK;
 }
 
 static inline int fb_radau_restart(fb_stepper *s, const double t, const double *x, double *rates)
@@ -319,7 +344,7 @@ static inline double fb_radau_length(const fb_stepper *s, const double h_abs, co
 {
     fb_radau *const m = s->own;
     const double safety = FB_SAFETY * (2 * FB_NEWTON_ITERATIONS + 1) / (2 * FB_NEWTON_ITERATIONS + m->iterations);
-    if (m->diverged)
+    if (m->iterations == 0)
         return 0.5 * h_abs;
     if (!(error < 1.0))
         return h_abs * fb_change(safety / sqrt(sqrt(error)), 0, rejected);
@@ -332,6 +357,7 @@ static inline double fb_radau_length(const fb_stepper *s, const double h_abs, co
 
 static const fb_method fb_radau_method = {.init = fb_runge_kutta_init,
                                           .attempt = fb_radau_attempt,
+                                          .stages = fb_radau_stages,
                                           .restart = fb_radau_restart,
                                           .next_length = fb_radau_length,
                                           .interpolate = fb_interpolate_step};

@@ -77,9 +77,14 @@ static inline double fb_runge_kutta_length(const fb_stepper *s, const double h_a
 
 static const fb_method fb_runge_kutta = {.init = fb_runge_kutta_init,
                                          .attempt = fb_runge_kutta_attempt,
+                                         .stages = fb_stages,
                                          .restart = fb_evaluate,
                                          .next_length = fb_runge_kutta_length,
                                          .interpolate = fb_interpolate_step};
+
+/* The tolerance of the equations of an implicit step, relative and absolute, and the most halvings of it. */
+#define FB_STEP_TOLERANCE 1e-8
+enum { FB_STEP_HALVINGS = 40 };
 
 /* The time after n steps of length h, rounded once; sums of h could miss the end of a run by a step. */
 static inline double fb_fixed_time(const double t_begin, const double h, const int64_t n)
@@ -87,14 +92,14 @@ static inline double fb_fixed_time(const double t_begin, const double h, const i
     return t_begin + (double)n * h;
 }
 
-/* A step of length h to t_new by a method without an error estimate; the status of the kernel if it fails. */
+/* A step of length h to t_new without an error estimate; the status of the kernel if it fails. */
 static inline int fb_fixed_step(fb_stepper *s, const double h, const double t_new)
 {
     fb_problem *const p = s->problem;
     int status = fb_evaluate(s, s->t, s->x, s->stages);
     if (status == 0)
-        status = fb_stages(s, h);
-    if (status < 0)
+        status = s->method->stages(s, h);
+    if (status != 0)
         return status;
     if (p->status != FB_OK || !fb_finite(s->x_new, s->n))
         return p->status != FB_OK ? p->status : FB_NOT_FINITE;
@@ -105,6 +110,20 @@ static inline int fb_fixed_step(fb_stepper *s, const double h, const double t_ne
     }
     fb_accept(s, t_new);
     return FB_OK;
+}
+
+/* The same, or a shorter step where the equations of an implicit method have no solution: half as long, and so on. */
+static inline int fb_fixed_part(fb_stepper *s, double h, const double t_new)
+{
+    int status = fb_fixed_step(s, h, t_new);
+    for (int k = 0; k < FB_STEP_HALVINGS && status > FB_OK && s->own != NULL; ++k) {
+        h *= 0.5;
+        if (s->t + h == s->t)
+            return status;
+        s->problem->status = FB_OK;
+        status = fb_fixed_step(s, h, s->t + h);
+    }
+    return status;
 }
 
 /* Enters the part of a step of length h from t_old to t_new that ends at the next breakpoint, or with the step; returns
@@ -118,7 +137,7 @@ static inline double fb_enter_part(fb_stepper *s, const double h, const double t
     return s->t == t_old && segment.t_bound == t_new ? h : segment.t_bound - s->t;
 }
 
-/* A step of length h to t_new across breakpoints, which divide it, as `fb_fixed_step`. */
+/* A step of length h to t_new across breakpoints, which divide it, in parts as `fb_fixed_part`. */
 static inline int fb_fixed_step_across(fb_stepper *s, const double h, const double t_new, fb_next_segment *next,
                                        void *of)
 {
@@ -127,7 +146,7 @@ static inline int fb_fixed_step_across(fb_stepper *s, const double h, const doub
     while (status == FB_OK && s->t != t_new) {
         double t_bound;
         const double length = fb_enter_part(s, h, t_old, t_new, next, of, &t_bound);
-        status = fb_fixed_step(s, length, t_bound);
+        status = fb_fixed_part(s, length, t_bound);
     }
     return status;
 }

@@ -48,6 +48,9 @@ typedef struct fb_method {
     /* a step to t_new: the state there, not projected, in `x_new`, and its error in units of the tolerances: a step is
      * accepted if that is below 1, so not if it is NaN */
     int (*attempt)(fb_stepper *s, double t_new, double *error);
+    /* a step of length h without an error estimate: the state at its end, not projected, in `x_new`, from x' at its
+     * beginning; a status of the kernel. NULL if there are no such steps */
+    int (*stages)(fb_stepper *s, double h);
     /* x' at a state that is not the end of the last step, where a run goes on, or after a projection */
     int (*restart)(fb_stepper *s, double t, const double *x, double *rates);
     /* the length of the next attempt, or of the next step, after one of the length h_abs with this error */
@@ -61,6 +64,13 @@ typedef struct fb_method {
     double least_share;   /* of max_step: shorter steps are not attempted */
     double largest_share; /* of max_step: a step that would end so near to the end of the run goes on to it */
 } fb_method;
+
+/* How a run takes its steps: the method, its coefficients and its workspace, or NULL. */
+typedef struct fb_steps {
+    const fb_method *method;
+    const fb_tableau *tableau;
+    void *own;
+} fb_steps;
 
 struct fb_stepper {
     fb_problem *problem;

@@ -27,6 +27,7 @@ sys.path += [str(PROJECT / "examples"), str(PROJECT / "tests")]
 driven_four_bar = import_module("08_stiff_drive").driven_four_bar
 on_a_line = import_module("builders.oscillators").on_a_line
 problems = import_module("builders.state_equations")
+squeezer = import_module("builders.squeezer")
 first_order = problems.first_order
 
 ERRORS = (1e-4, 1e-6, 1e-8)
@@ -106,6 +107,11 @@ def motor() -> Case:
     return Case(fb.compile_model(model), (0.0, 1.0))
 
 
+def control() -> Case:
+    """Andrews' squeezing mechanism, which is not stiff: all but tests/builders/squeezer.py says is the choice of states."""
+    return Case(fb.compile_model(squeezer.squeezer()), (0.0, squeezer.END))
+
+
 CASES: dict[str, Callable[[], Case]] = {
     "stiff drive (examples/08)": stiff_drive,
     "muscle": muscle,
@@ -115,6 +121,7 @@ CASES: dict[str, Callable[[], Case]] = {
     "Robertson to 40": lambda: robertson(40.0, 0.7158270688, 9.185534765e-6, 0.2841637457),
     "Robertson to 4e10": lambda: robertson(4e10),
     "DC motor on a slider-crank": motor,
+    "Andrews' squeezer (not stiff)": control,
 }
 METHODS = ("Radau", "SciPy's Radau", "BDF", "LSODA", "CVODE", "IDA")
 

@@ -2,6 +2,7 @@
 #include "arithmetic/angle.h"
 #include "derivatives/velocity_jump.h"
 #include "lanes/batch.h"
+#include "linear_algebra/shifted_equations.h"
 #include "run/driver.h"
 #include "steppers/ali3p.h"
 
@@ -17,6 +18,23 @@ int eliminate_full(int n, double *a, double *b, double least)
 int eliminate_rows(int m, int n, int k, double *a, double *b, int *order, double *solution, double *last)
 {
     return fb_eliminate_rows(m, n, k, a, b, order, solution, last);
+}
+
+/* Solutions for a real number and for a complex one; returns the number of unknowns that are left, or -1. */
+int solve_shifted(int n, const double *matrix, const double *shifts, const double *sides, double *solutions)
+{
+    fb_shifted equations;
+    double *const memory = calloc(FB_SHIFTED_LENGTH(n), sizeof *memory);
+    const int fits = (int)fb_place_shifted(&equations, n, memory) == FB_SHIFTED_LENGTH(n);
+    memcpy(equations.matrix, matrix, (size_t)(n * n) * sizeof *matrix);
+    fb_order_shifted(&equations);
+    const int left = equations.n_left, solved = fits && fb_factor_shifted(&equations, shifts[0], shifts[1], shifts[2]);
+    if (solved) {
+        fb_solve_shifted(&equations, sides, solutions);
+        fb_solve_shifted_complex(&equations, sides + n, sides + 2 * n, solutions + n, solutions + 2 * n);
+    }
+    free(memory);
+    return solved ? left : -1;
 }
 
 double violation(const double *violations, const double *scales, int n)

@@ -461,7 +461,7 @@ def _header(program: Program, names: Mapping[str, Sequence[str]], layout: Layout
         methods=_enumerators([(f"{name}_{each.name.lower()}", each.value, each.comment) for each in Method]),
         watched=_enumerators([(f"{name}_quantity_{each.name.lower()}", each.value, each.comment) for each in Watched]),
         event_work=EVENT_WORK,
-        stiff_work=4 * n_x**2 + 15 * n_x + 4 * ((n_x + 7) // 8 * 8) + 1,
+        stiff_work=4 * n_x**2 + 19 * n_x + 4 * ((n_x + 7) // 8 * 8 + (n_x + 1) // 2),
         statuses=_enumerators([(f"{name}_{each.name.lower()}", each.value, "") for each in Status]),
         entries=_entries(name, names, layout),
         members=_members(name, n_x, max(sizes.n_p, 1), max(sizes.n_r, 1)),

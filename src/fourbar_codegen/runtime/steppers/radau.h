@@ -11,7 +11,7 @@
 #ifndef FOURBAR_RADAU_H
 #define FOURBAR_RADAU_H
 
-#include "../linear_algebra/elimination.h"
+#include "../linear_algebra/shifted_equations.h"
 #include "runge_kutta.h"
 
 #include <float.h>
@@ -72,17 +72,15 @@ enum { FB_STEPS_FROM_ZERO = 20 };
 
 typedef struct fb_radau {
     const fb_function *functions; /* of the model's derivatives, or NULL: then by difference quotients */
-    double *jacobian;             /* (n, n) */
-    double *real, *re, *im;       /* (n, n): L U of the real and the complex matrix */
+    fb_shifted equations;         /* of the Jacobian */
     double *z, *w, *change;       /* (3, n) */
     double *rates;                /* (3, n) */
     double *last;                 /* (3, padded): the polynomial of the step before */
     double *scale, *side;         /* (n,) */
     double *stage;                /* (padded,) */
-    int *real_rows, *complex_rows;
-    double h_last;       /* the length of the step before, with its sign; 0 if there is none */
-    double h_abs, error; /* of the last accepted step, for the step control; 0 before the first one */
-    int64_t step;        /* the number of the step whose Jacobian it is, or -1 */
+    double h_last;                /* the length of the step before, with its sign; 0 if there is none */
+    double h_abs, error;          /* of the last accepted step, for the step control; 0 before the first one */
+    int64_t step;                 /* the number of the step whose Jacobian it is, or -1 */
     int rejected;
     int iterations; /* of the last attempt, 0 if its equations were not solved */
     int from_zero;  /* the number of steps whose iterations begin from zero */
@@ -90,35 +88,29 @@ typedef struct fb_radau {
 } fb_radau;
 
 /* The length of the arrays for n states, in doubles. */
-#define FB_RADAU_LENGTH(n) (4 * (n) * (n) + 14 * (n) + 4 * FB_PADDED(n) + 2 * (((n) + 1) / 2))
+#define FB_RADAU_LENGTH(n) (FB_SHIFTED_LENGTH(n) + 14 * (n) + 4 * FB_PADDED(n))
 
 /* Places the arrays in memory, unless that is NULL; returns their number of doubles. */
 static inline size_t fb_place_radau(const int n, fb_radau *m, double *memory)
 {
     const int padded = FB_PADDED(n);
-    double *rows[2];
     const fb_place places[] = {
-        {&m->jacobian, n * n}, {&m->real, n * n},   {&m->re, n * n},     {&m->im, n * n},         {&m->z, 3 * n},
-        {&m->w, 3 * n},        {&m->change, 3 * n}, {&m->rates, 3 * n},  {&m->last, 3 * padded},  {&m->scale, n},
-        {&m->side, n},         {&m->stage, padded}, {rows, (n + 1) / 2}, {rows + 1, (n + 1) / 2},
+        {&m->z, 3 * n},         {&m->w, 3 * n}, {&m->change, 3 * n}, {&m->rates, 3 * n},
+        {&m->last, 3 * padded}, {&m->scale, n}, {&m->side, n},       {&m->stage, padded},
     };
     const size_t length = fb_place_all(places, sizeof places / sizeof *places, memory);
-    if (memory) {
-        m->real_rows = (int *)(void *)rows[0];
-        m->complex_rows = (int *)(void *)rows[1];
-        m->step = -1;
-    }
-    return length;
+    m->step = -1;
+    return length + fb_place_shifted(&m->equations, n, memory ? memory + length : NULL);
 }
 
 /* dx'/dx at the beginning of a step of length h. */
 static inline int fb_radau_jacobian(fb_stepper *s, fb_radau *m, const double h)
 {
     const int n = s->n;
-    double *const x = m->stage, *const rates = m->rates;
+    double *const x = m->stage, *const rates = m->rates, *const jacobian = m->equations.matrix;
     m->n_jacobians += 1;
     if (m->functions)
-        return fb_problem_jacobian(s->problem, m->functions, s->t, s->x, m->jacobian);
+        return fb_problem_jacobian(s->problem, m->functions, s->t, s->x, jacobian);
     memcpy(x, s->x, (size_t)n * sizeof *x);
     for (int j = 0; j < n; ++j) {
         const double size = fb_max(fabs(s->x[j]), fabs(h * s->stages[j]));
@@ -128,7 +120,7 @@ static inline int fb_radau_jacobian(fb_stepper *s, fb_radau *m, const double h)
         if (status < 0)
             return status;
         for (int i = 0; i < n; ++i)
-            m->jacobian[i * n + j] = change != 0.0 ? (rates[i] - s->stages[i]) / change : 0.0;
+            jacobian[i * n + j] = change != 0.0 ? (rates[i] - s->stages[i]) / change : 0.0;
         x[j] = s->x[j];
     }
     return 0;
@@ -145,25 +137,17 @@ static inline int fb_begin_radau(fb_stepper *s, fb_radau *m, const double h)
     m->step = s->n_steps;
     m->rejected = 0;
     m->from_zero -= m->from_zero > 0;
-    return fb_radau_jacobian(s, m, h);
+    const int status = fb_radau_jacobian(s, m, h);
+    if (status == 0)
+        fb_order_shifted(&m->equations);
+    return status;
 }
 
 /* The matrices of Newton's method for a step of length h; returns 0 if one is singular. */
-static inline int fb_factor_radau(const fb_stepper *s, fb_radau *m, const double h)
+static inline int fb_factor_radau(fb_radau *m, const double h)
 {
-    const int n = s->n;
-    for (int i = 0; i < n * n; ++i) {
-        m->real[i] = m->re[i] = -m->jacobian[i];
-        m->im[i] = 0.0;
-    }
-    for (int i = 0; i < n; ++i) {
-        m->real[i * n + i] += FB_RADAU_REAL / h;
-        m->re[i * n + i] += FB_RADAU_RE / h;
-        m->im[i * n + i] = FB_RADAU_IM / h;
-        m->real_rows[i] = m->complex_rows[i] = i;
-    }
     m->n_factorizations += 2;
-    return fb_factor_lu(n, n, m->real, NULL, m->real_rows, 0.0) && fb_factor_complex(n, m->re, m->im, m->complex_rows);
+    return fb_factor_shifted(&m->equations, FB_RADAU_REAL / h, FB_RADAU_RE / h, FB_RADAU_IM / h);
 }
 
 /* result = matrix rows, of three rows. */
@@ -215,8 +199,8 @@ static inline double fb_iterate_radau(const fb_stepper *s, fb_radau *m, const do
         f[2 * n + i] -= (FB_RADAU_RE * im + FB_RADAU_IM * re) / h;
     }
     double *const d = m->z; /* formed anew below */
-    fb_solve_lu(n, m->real, m->real_rows, f, d);
-    fb_solve_complex(n, m->re, m->im, m->complex_rows, f + n, f + 2 * n, d + n, d + 2 * n);
+    fb_solve_shifted(&m->equations, f, d);
+    fb_solve_shifted_complex(&m->equations, f + n, f + 2 * n, d + n, d + 2 * n);
     for (int k = 0; k < 3; ++k)
         for (int i = 0; i < n; ++i) {
             const double share = d[k * n + i] / m->scale[i];
@@ -265,7 +249,7 @@ static inline int fb_radau_error_of(fb_stepper *s, fb_radau *m, const double h, 
             m->side[i] = rates[i] + (fb_radau_error[0] * m->z[i] + fb_radau_error[1] * m->z[n + i] +
                                      fb_radau_error[2] * m->z[2 * n + i]) /
                                         h;
-        fb_solve_lu(n, m->real, m->real_rows, m->side, m->change);
+        fb_solve_shifted(&m->equations, m->side, m->change);
         for (int i = 0; i < n; ++i) {
             const double size = fb_max(fabs(s->x[i]), fabs(s->x_new[i]));
             const double share = m->change[i] / (s->atol[i] + s->rtol[i] * size);
@@ -288,7 +272,7 @@ static inline int fb_radau_error_of(fb_stepper *s, fb_radau *m, const double h, 
 static inline int fb_take_radau(fb_stepper *s, fb_radau *m, const double h)
 {
     const int n = s->n;
-    if (!fb_factor_radau(s, m, h))
+    if (!fb_factor_radau(m, h))
         return 0;
     const int is_first = m->h_last == 0.0, is_zero = is_first || m->from_zero > 0;
     fb_guess_radau(s, m, h, is_zero);

@@ -51,8 +51,6 @@ METHODS: dict[str, dict[str, Any]] = {
     "DOP853, Baumgarte": {"method": "DOP853", "constraints": "baumgarte"},
     "ALI3P": {},
     "Radau": {},
-    "BDF": {},
-    "LSODA": {},
     "CVODE": {},
     "IDA, Gear-Gupta-Leimkuhler": {"method": "IDA"},
     "IDA, index 1": {"method": "IDA", "formulation": "index-1"},

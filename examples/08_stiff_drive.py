@@ -20,8 +20,6 @@ METHODS = {
     "RK45": {"rtol": 1e-6, "atol": 1e-6},
     "ALI3P": {"max_step": 1e-2},
     "Radau": {"rtol": 1e-6, "atol": 1e-6},
-    "BDF": {"rtol": 1e-6, "atol": 1e-6},
-    "LSODA": {"rtol": 1e-6, "atol": 1e-6},
     "CVODE": {"rtol": 1e-6, "atol": 1e-6},
     "IDA": {"rtol": 1e-6, "atol": 1e-6},
 }

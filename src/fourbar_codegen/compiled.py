@@ -659,7 +659,7 @@ class CompiledModel(Kernel):
         x0 : array_like, shape (n_x,), optional
             Initial state, which must satisfy the constraints (see `initial_state`); by default the one that
             `initial_state` returns for the model's initial values.
-        method : {"DOP853", "RK45", "Tsit5", "Radau", "ALI3P", "RK23", "BDF", "LSODA", "CVODE", "IDA"}, optional
+        method : {"DOP853", "RK45", "Tsit5", "Radau", "ALI3P", "CVODE", "IDA"}, optional
             DOP853, RK45 and Tsit5 are explicit and run in C, with the step size control of SciPy, and its coefficients
             for the first two. Tsit5, of order 5 like RK45, has smaller error coefficients. Source: Ch. Tsitouras,
             "Runge-Kutta pairs of order 5(4) satisfying only the first column simplifying assumption", *Computers &
@@ -669,10 +669,9 @@ class CompiledModel(Kernel):
             velocities are continuous, since inertia does not let them jump. Radau, for stiff equations, is Radau IIA of
             order 5 in C, with a Jacobian of each step: the compiled one, or difference quotients where callables or a
             stabilization are in the equations. Source: E. Hairer, G. Wanner, *Solving Ordinary Differential Equations
-            II*, 2nd ed. 1996, section IV.8. RK23 (explicit, with steps in C), BDF (implicit) and LSODA (with automatic
-            switching between Adams and BDF) are SciPy's, through `fourbar_codegen.solvers`, with the compiled Jacobian
-            for the last two. CVODE (BDF, for stiff problems) and IDA (a differential-algebraic solver) are SUNDIALS',
-            through scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with compiled functions.
+            II*, 2nd ed. 1996, section IV.8. CVODE (BDF, for stiff problems) and IDA (a differential-algebraic solver)
+            are SUNDIALS', through scikit-sundae (``pip install 'fourbar_codegen[dae]'``), with compiled functions.
+            SciPy's methods take `ode`: ``solve_ivp(ode, t_span, x0, method="LSODA", jac=ode.jac)``.
         parameters : array_like or mapping, optional
             The defaults otherwise.
         inputs : mapping of input to source, optional
@@ -692,10 +691,10 @@ class CompiledModel(Kernel):
             Quantities are evaluated in C; callables are called at nine or more places of each step.
         constraints : {"project", "baumgarte", "none"}, optional
             Constraint stabilization. "project": mass-orthogonal projection of positions and then of speeds after each
-            accepted step, and of every returned state. LSODA, CVODE and IDA are multistep methods: of them, only the
-            returned states are projected. "baumgarte": the accelerations make violations decay; the remaining
-            violation is what the integration error adds within 1 / `stabilization`. "none": only the accelerations
-            satisfy the constraints, and the integration error makes the loops drift open.
+            accepted step, and of every returned state. CVODE and IDA are multistep methods: of them, only the returned
+            states are projected. "baumgarte": the accelerations make violations decay; the remaining violation is what
+            the integration error adds within 1 / `stabilization`. "none": only the accelerations satisfy the
+            constraints, and the integration error makes the loops drift open.
         stabilization : float, optional
             The rate a, 1/s, at which violations decay with "baumgarte": Phi'' + 2 a Phi' + a^2 Phi = 0. Rates above
             1 / (step size) make the equations stiff. Source: J. Baumgarte, "Stabilization of constraints and integrals

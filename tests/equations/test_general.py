@@ -141,7 +141,7 @@ def test_rates_and_jacobian_of_every_system_equal_sympys(name):
 def test_jacobian_at_an_open_contact_leaves_out_the_branch_not_taken():
     contact = fb.compile_model(fb.Model(SYSTEMS["contact"](), parameters={m: 1.0, g: 9.81}))
     np.testing.assert_array_equal(contact.jacobian(0.0, [1.0, 0.0]), [[0.0, 1.0], [0.0, 0.0]])
-    for method in ("Radau", "BDF", "LSODA", "DOP853"):
+    for method in ("Radau", "DOP853"):
         run = contact.simulate((0.0, 1.0), [1.0, 0.0], method=method, rtol=1e-8, atol=1e-8)
         assert run.success
         # m v^2 / 2 + m g q + 1000 m (2/5) (-q)^(5/2), conserved to the tolerances of some 1000 steps

@@ -277,7 +277,7 @@ def calls_of(name: str) -> dict[str, Call]:
         "stabilization": 10.0,
         "progress": lambda t: None,
     }
-    for method in ("DOP853", "RK45", "Tsit5", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"):
+    for method in ("DOP853", "RK45", "Tsit5", "ALI3P", "Radau", "CVODE", "IDA"):
         own = how | ({"max_step": 0.01} if method == "ALI3P" else {})
         own |= {"formulation": "index-3"} if method == "IDA" else {}
         calls.add(f"simulate {method}", model.simulate, **run, method=method, **own, **more, max_steps=200, share=0.3)

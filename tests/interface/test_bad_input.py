@@ -155,6 +155,8 @@ TABLE = {
         ({"x0": ["a"] * 6}, "states", "numbers"),
         ({"x0": np.ones(6), "method": "ALI3P", "max_step": 1e-3}, "violates the constraints"),
         ({"method": "Euler"}, "'Euler'", "DOP853", "Radau"),
+        ({"method": "LSODA"}, 'solve_ivp(ode, t_span, x0, method="LSODA", jac=ode.jac)', 'method="Radau"'),
+        ({"method": "RK23"}, 'solve_ivp(ode, t_span, x0, method="RK23") with ode = model.ode(parameters, inputs)'),
         ({"method": np.array(["RK45", "DOP853"])}, "array", "DOP853, "),
         ({"method": "ALI3P"}, "max_step"),
         ({"method": "ALI3P", "max_step": 1e-3, "constraints": "baumgarte"}, "baumgarte"),
@@ -522,7 +524,7 @@ INSIDE = {
     "value of an event": ((), lambda v: MODEL.simulate(SPAN, events=lambda t, x: v), "value of an event's callable"),
     "independent coordinates": ((1,), lambda v: MODEL.initial_state([None] if v is None else v), "coordinate"),
     "guess": ((2,), lambda v: MODEL.initial_state(guess=[None] if v is None else v), "dependent coordinate"),
-    "times of a solver's": ((2,), MODEL.simulate(SPAN, method="RK23", dense_output=True).sol, "times"),
+    "times of a solver's": ((2,), MODEL.simulate(SPAN, method="CVODE", dense_output=True).sol, "times"),
     "value of a parameter": (
         (),
         lambda v: fb.Parameter([] if v is None or isinstance(v, sm.Symbol) else v),

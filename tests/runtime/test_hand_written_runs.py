@@ -55,7 +55,7 @@ def bound(run, motion, steps=None):
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau", "CVODE", "IDA"])
 def test_runs_follow_the_elliptic_functions_within_their_tolerances(pendulum, motion, method):
     if method in {"CVODE", "IDA"}:
         pytest.importorskip("sksundae")
@@ -100,7 +100,7 @@ def test_runs_backwards_in_time_follow_the_same_motion(pendulum, motion):
     np.testing.assert_allclose(run.y, motion.states(run.t), rtol=0.0, atol=bound(run, motion))
 
 
-@pytest.mark.parametrize("method", [*EXPLICIT, "RK23", "Radau", "BDF"])
+@pytest.mark.parametrize("method", [*EXPLICIT, "Radau"])
 @pytest.mark.parametrize("constraints", ["none", "baumgarte"])
 def test_runs_without_projection_follow_the_motion_and_leave_the_circle(pendulum, method, constraints):
     motion, rtol = MOTIONS["wide"], TOLERANCES.get(method, 1e-9)
@@ -155,7 +155,7 @@ def test_fixed_steps_of_the_stepper_are_of_order_four(either_pendulum):
     np.testing.assert_allclose(np.array(errors[:-1]) / errors[1:], 16.0, rtol=0.15)
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau"])
 def test_dense_output_follows_the_motion_between_steps(pendulum, method):
     """Interpolants have an order one less than the methods, so that between steps an error of ten units is added."""
     motion, rtol = MOTIONS["wide"], TOLERANCES.get(method, 1e-9)
@@ -176,7 +176,7 @@ def first_slack(motion):
     return (ellipk(k**2) - ellipkinc(amplitude, k**2)) * np.sqrt(motion.length / motion.gravity)
 
 
-@pytest.mark.parametrize("method", [*EXPLICIT, "RK23", "Radau"])
+@pytest.mark.parametrize("method", [*EXPLICIT, "Radau"])
 def test_events_of_outputs_are_found_at_the_times_of_elliptic_integrals(pendulum, method):
     motion = MOTIONS["wide"]
     run = pendulum.simulate(
@@ -264,7 +264,7 @@ def test_formulations_of_the_differential_algebraic_equations_follow_the_motion(
     np.testing.assert_allclose(run.y, motion.states(run.t), rtol=0.0, atol=limit)
 
 
-@pytest.mark.parametrize("method", [*EXPLICIT, "Radau", "BDF"])
+@pytest.mark.parametrize("method", [*EXPLICIT, "Radau"])
 def test_a_held_force_ends_at_its_time(pendulum, method):
     """It ends when the mass rests on the other side of the tilted vertical: from there, it swings by gravity alone."""
     tilt, gravity = tilted(6.0)

@@ -18,7 +18,7 @@ LAWS = {
     "Piecewise of v": lambda x, v, t: -MU * sm.Piecewise((1, v > 0), (-1, True)),
     "Heaviside of v": lambda x, v, t: -MU * (2 * sm.Heaviside(v) - 1),
 }
-METHODS = ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE"]
+METHODS = ["DOP853", "RK45", "Tsit5", "Radau", "CVODE"]
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_belts_and_relays_are_named_by_their_condition(law, text):
     ],
     ids=["relay of a place", "contact", "contact with a jump", "driving force"],
 )
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "LSODA"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau"])
 def test_jumps_that_the_motion_passes_do_not_end_runs(law, method):
     assert loaded(law).simulate((0.0, 10.0), [0.3, 0.1], method=method).success
 

@@ -17,10 +17,9 @@ m, k, T = sm.symbols("m k T")
 q, u, z, w, s, F = me.dynamicsymbols("q u z w s F")
 
 TIGHT = {"rtol": 1e-9, "atol": 1e-9}
-METHODS = {
-    name: {"method": name, **TIGHT}
-    for name in ("RK45", "DOP853", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
-} | {"ALI3P": {"method": "ALI3P", "max_step": 1e-3}}
+METHODS = {name: {"method": name, **TIGHT} for name in ("RK45", "DOP853", "Tsit5", "Radau", "CVODE", "IDA")} | {
+    "ALI3P": {"method": "ALI3P", "max_step": 1e-3}
+}
 ERROR = dict.fromkeys(METHODS, 1e-6)
 """Some hundred steps' tolerance; of ALI3P, of order 2, h^2 t / 12 times the third derivative: 4 at most."""
 
@@ -99,7 +98,7 @@ def test_motion_that_starts_at_once_makes_speeds_jump_by_its_rate(expression, ho
     # At the time of the jump itself, too; but for Max, whose rate is half of both there.
     at = model.simulate((0.0, 1.0), x0, t_eval=[0.25, 0.5, 0.75], **TIGHT)
     assert np.abs(at.velocity_residual).max(initial=0.0) < (1e-12 if expression.is_Piecewise else 0.6)
-    for method in ("RK45", "DOP853", "BDF"):
+    for method in ("RK45", "DOP853", "Radau"):
         at = model.simulate((0.0, 1.0), x0, t_eval=[0.25, 0.5, 0.75], method=method, **TIGHT)
         before, behind = kicked([], [], 0.5), kicked([0.5], [1.0], 0.5)
         np.testing.assert_allclose(at["q"][1], behind[0], atol=1e-7)
@@ -114,7 +113,7 @@ def test_motion_that_starts_at_once_makes_speeds_jump_by_its_rate(expression, ho
         np.testing.assert_allclose(dense.sol(time)[model.states.index("q")], expected[0], atol=1e-6)
 
 
-@pytest.mark.slow(but=["DOP853", "ALI3P", "BDF"])
+@pytest.mark.slow(but=["DOP853", "ALI3P", "Radau"])
 def test_motion_that_starts_at_once_makes_speeds_jump_by_every_method(method):
     how, error = method
     relative, held = compiled(s, STARTS), compiled(s, STARTS, held=True)
@@ -222,7 +221,7 @@ def pushed(force=None):
 PULSE = ([0.0, 0.499, 0.5, 0.501, 1.0], [0.0, 0.0, 1e5, 0.0, 0.0])
 
 
-@pytest.mark.slow(but=["ALI3P", "CVODE", "DOP853", "LSODA"])
+@pytest.mark.slow(but=["ALI3P", "CVODE", "DOP853", "Radau"])
 def test_pulse_of_2_ms_in_a_table_is_integrated_by_every_method(method):
     how, error = method
     model = pushed()
@@ -315,7 +314,7 @@ def test_steppers_and_solve_ivp_refuse_steps_across_a_jump_of_speeds():
 @pytest.mark.parametrize(
     ("begin", "end", "jump"), [(0.2, 1.5, 0.9), (0.6, 2.5, 2.0), (1.0, 0.0, 0.5), (-1.0, 1.0, 0.001), (0.2, 0.9, 0.9)]
 )
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA", "ALI3P"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Radau", "CVODE", "IDA", "ALI3P"])
 def test_states_beside_a_jump_are_told_apart_by_their_times_in_every_method(begin, end, jump, method, tmp_path):
     """Also where rounding makes the same of both, counted from the beginning. No finite force: u + s' is continuous."""
     model = compiled(s, None)
@@ -468,7 +467,7 @@ def test_motion_in_smooth_parts_makes_no_speeds_jump_and_steps_end_at_its_parts(
 
 
 @pytest.mark.slow(
-    but=["ALI3P-1700000000.0", "DOP853-1000000000000000.0", "DOP853-1700000000.0", "LSODA-1000000000000000.0"]
+    but=["ALI3P-1700000000.0", "DOP853-1000000000000000.0", "DOP853-1700000000.0", "Radau-1000000000000000.0"]
 )
 @pytest.mark.parametrize("origin", [1.7e9, 1e15])
 def test_runs_at_large_times_equal_runs_from_zero_by_every_method(four_bar, method, origin):

@@ -12,7 +12,7 @@ from builders.oscillators import driven_oscillator
 
 import fourbar_codegen as fb
 
-METHODS = ("DOP853", "RK45", "Tsit5", "ALI3P", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA")
+METHODS = ("DOP853", "RK45", "Tsit5", "ALI3P", "Radau", "CVODE", "IDA")
 SPACING = 32.0 * np.spacing(10.0)
 """A time of some seconds by its step's beginning and length, and a root of a function that is evaluated there."""
 
@@ -263,7 +263,7 @@ def mass():
     return fb.compile_model(fb.Model(method, parameters={m: 1.0}, inputs={force: 0}))
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau", "BDF", "LSODA"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau"])
 def test_a_start_at_rest_on_the_surface_is_no_event_however_slowly_it_is_left(mass, method):
     """x - 0.3 = F t^2 / 2 has a double root at the start, and rounding errors of 0.3 in the first steps."""
     for force in np.geomspace(1e-3, 1e4, 15):
@@ -272,7 +272,7 @@ def test_a_start_at_rest_on_the_surface_is_no_event_however_slowly_it_is_left(ma
             assert mass.simulate((0.0, 1.0), [start, 0.0], **how).t_events[0].size == 0
 
 
-@pytest.mark.parametrize("method", ["BDF", "LSODA"])
+@pytest.mark.parametrize("method", ["CVODE", "IDA"])
 @pytest.mark.parametrize("tolerance", [1e-3, 1e-6])
 def test_jumps_between_interpolants_of_multistep_methods_are_no_events(four_bar, method, tolerance):
     """Chained runs of one event; the interpolant of a step does not begin where the last one ends."""
@@ -310,7 +310,7 @@ def test_a_zero_at_a_breakpoint_is_an_event_if_the_sign_changes(mass):
     assert mass.simulate((0.0, 1.0), [0.0, 1.0], inputs=kinked, events=touching).t_events[0].size == 0
 
 
-@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "LSODA"])
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau"])
 def test_a_state_that_touches_zero_at_a_breakpoint_within_rounding_errors_has_no_event(mass, method):
     """u = 1 - 2 t, then slopes of -4, 2 and -1: zero at 0.375, and at 0.75 with negative values on both sides."""
     forces = {"F": ([0.0, 0.25, 0.5, 0.75, 1.0], [-2.0, -4.0, 2.0, -1.0, 0.0], "hold")}

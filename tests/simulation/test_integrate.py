@@ -96,10 +96,8 @@ def test_runs_without_projection_take_scipys_steps(case, method, tolerance, forw
     np.testing.assert_array_equal(sampled.t, times)
 
 
-@pytest.mark.slow(
-    but=["cartesian_pendulum-BDF", "cartesian_pendulum-DOP853", "cartesian_pendulum-LSODA", "cartesian_pendulum-RK23"]
-)
-@pytest.mark.parametrize("method", [*METHODS, "RK23", "Radau", "BDF", "LSODA"])
+@pytest.mark.slow(but=["cartesian_pendulum-DOP853", "cartesian_pendulum-Radau"])
+@pytest.mark.parametrize("method", [*METHODS, "Radau"])
 def test_states_at_steps_samples_and_between_them_satisfy_the_constraints(case, method):
     compiled, x0, duration = case
     times = np.linspace(0.0, duration, 33)
@@ -254,7 +252,7 @@ def test_events_without_projection_equal_those_of_solve_ivp(four_bar):
         np.testing.assert_allclose(states, expected, rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize("method", ["RK45", "DOP853", "BDF"])
+@pytest.mark.parametrize("method", ["RK45", "DOP853", "Radau"])
 def test_terminal_event_at_a_step_boundary_is_kept_once_in_the_times_of_a_run(four_bar, method):
     steps = four_bar.simulate((0.0, 2.0), method=method).t
     for dense_output in (False, True):
@@ -298,9 +296,7 @@ def falling(*further, **more):
     return fb.Model(system, name="falling", parameters={g: 10.0, c: 0.01}, initial={x: 1000.0, v: 0.0}, **more)
 
 
-@pytest.mark.parametrize(
-    "method", ["DOP853", "RK45", "Tsit5", "RK23", "Radau", "BDF", "LSODA", "CVODE", "IDA", "ALI3P"]
-)
+@pytest.mark.parametrize("method", ["DOP853", "RK45", "Tsit5", "Radau", "CVODE", "IDA", "ALI3P"])
 @pytest.mark.parametrize("function", ["height", lambda t, x: x[0]])
 def test_the_last_sample_is_the_state_at_a_terminal_event(method, function):
     """The height is 1000 m - ln(cosh(sqrt(g c) t)) / c, until t = 33.81470044 s at the ground."""
@@ -320,7 +316,7 @@ def test_the_last_sample_is_the_state_at_a_terminal_event(method, function):
 def test_a_sample_asked_for_at_a_terminal_event_is_not_taken_twice(four_bar):
     """Within a step, at the end of one, and at the start of the run."""
     steps = four_bar.simulate((0.0, 1.0)).t
-    for method in ("DOP853", "BDF"):
+    for method in ("DOP853", "Radau"):
         for at in (0.5, float(steps[3]), 0.0):
             event = fb.Event(lambda t, x, at=at: t - at, terminal=True)
             times = np.array([0.0, 0.1, 0.25, at, 1.0]) if at else np.array([0.0, 1.0])
@@ -331,7 +327,7 @@ def test_a_sample_asked_for_at_a_terminal_event_is_not_taken_twice(four_bar):
 
 
 def test_a_terminal_event_before_all_samples_is_the_only_one(four_bar):
-    for method in ("DOP853", "BDF"):
+    for method in ("DOP853", "Radau"):
         event = fb.Event(lambda t, x: t - 0.5, terminal=True)
         run = four_bar.simulate((0.0, 1.0), method=method, t_eval=[0.9], events=event)
         assert run.t.tolist() == [run.t_events[0][0]]
@@ -342,7 +338,7 @@ def test_a_terminal_event_at_a_jump_of_an_input_is_the_last_sample():
     force = me.dynamicsymbols("F")
     pushed = fb.compile_model(falling(force, inputs="auto", outputs={"push": force - 1}))
     inputs = {"F": ([0.0, 0.5], [0.0, 2.0], "hold")}
-    for method in ("DOP853", "BDF"):
+    for method in ("DOP853", "Radau"):
         run = pushed.simulate(
             (0.0, 1.0), method=method, t_eval=[0.2, 0.9], inputs=inputs, events=fb.Event("push", terminal=True)
         )
@@ -500,8 +496,8 @@ def test_run_with_max_steps_or_max_step_keeps_them(four_bar):
     assert len(run.t) >= 401
 
 
-@pytest.mark.slow(but=["RK23"])
-@pytest.mark.parametrize("method", ["DOP853", "RK23"])
+@pytest.mark.slow(but=["Radau"])
+@pytest.mark.parametrize("method", ["DOP853", "Radau"])
 def test_run_that_stops_before_its_first_step_has_no_dense_output(method):
     # A parallelogram: the first step passes the position in which all bars are level, and is discarded.
     loop = fb.compile_model(fb.models.n_four_bar(1))

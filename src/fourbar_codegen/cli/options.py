@@ -35,7 +35,7 @@ __all__ = [
 SWEEP_METHODS = (*STEP_CONTROLLED, "ALI3P")
 """Of ensembles."""
 
-METHODS = (*SWEEP_METHODS, "RK23", "BDF", "LSODA", "CVODE", "IDA")
+METHODS = (*SWEEP_METHODS, "CVODE", "IDA")
 """Of single runs."""
 
 MAX_MEMBERS = 1_000_000

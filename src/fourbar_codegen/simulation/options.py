@@ -30,7 +30,7 @@ from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
-from fourbar_codegen.roles import METHODS, STEP_CONTROLLED
+from fourbar_codegen.roles import METHODS, STEP_CONTROLLED, STIFF
 from fourbar_codegen.simulation.events import Event, events_of
 
 __all__ = ["FIXED_STEP", "IN_C", "SOLVERS", "RunOptions"]
@@ -43,8 +43,11 @@ FIXED_STEP = "ALI3P"
 IN_C = (*STEP_CONTROLLED, FIXED_STEP)
 """Methods that are entirely in C: those of ensembles."""
 
-SOLVERS = ("RK23", "BDF", "LSODA", "CVODE", "IDA")
+SOLVERS = ("CVODE", "IDA")
 """The others, of `fourbar_codegen.solvers`."""
+
+SCIPYS = {"RK23": "", "BDF": ", jac=ode.jac", "LSODA": ", jac=ode.jac"}
+"""Methods of SciPy alone, with their arguments in ``solve_ivp``."""
 
 STEPS = dict.fromkeys(IN_C, 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
 """Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
@@ -120,6 +123,12 @@ class RunOptions(NamedTuple):
         ModelError
             If an argument has a wrong shape or name, is not finite, or is not supported by the method.
         """
+        if isinstance(method, str) and method in SCIPYS:
+            raise ModelError(
+                f"{method} is a method of SciPy, not of simulate: solve_ivp(ode, t_span, x0, "
+                f'method="{method}"{SCIPYS[method]}) with ode = model.ode(parameters, inputs) integrates without '
+                f'closing loops. Methods are {", ".join(STEPS)}; method="{STIFF}" is for stiff equations.'
+            )
         method = str(one_of(method, STEPS, "method"))
         if not (formulation is None or method == "IDA"):
             raise ModelError(f"A formulation is for IDA; {method} has none.")

@@ -1,5 +1,6 @@
-"""A mass on a spring, with further forces."""
+"""A mass on a spring, with further forces, and one on a circle."""
 
+import numpy as np
 import sympy as sm
 import sympy.physics.mechanics as me
 
@@ -50,3 +51,14 @@ def loaded(load, inputs=None):
     return fb.compile_model(
         fb.Model(model.system, name="loaded", parameters=parameters, initial=initial, inputs=inputs)
     )
+
+
+def circling():
+    """A mass on a circle without gravity keeps its speed: x = cos t, y = sin t. The compiled model, its parameters, and
+    the states at 0 s and 2 s."""
+    given = fb.models.cartesian_pendulum()
+    model = fb.compile_model(given)
+    parameters = {name: 0.0 if name == "g" else 1.0 for name in model.parameters}
+    at = {"x": (np.cos, lambda t: -np.sin(t)), "y": (np.sin, np.cos)}  # position and speed
+    motion = [at[str(q.func)][order] for order in (0, 1) for q in given.mechanism.coordinates]
+    return model, parameters, *([value(t) for value in motion] for t in (0.0, 2.0))

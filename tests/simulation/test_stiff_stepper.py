@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
-from builders.oscillators import on_a_line, oscillator
+from builders.oscillators import circling, on_a_line, oscillator
 from builders.state_equations import first_order
 
 import fourbar_codegen as fb
@@ -27,13 +27,7 @@ def test_the_order_is_five():
 
 @pytest.mark.parametrize("constraints", ["project", "none"])
 def test_the_order_is_five_with_a_loop(constraints):
-    """A mass on a circle without gravity keeps its speed: x = cos t, y = sin t."""
-    given = fb.models.cartesian_pendulum()
-    model = fb.compile_model(given)
-    parameters = {name: 0.0 if name == "g" else 1.0 for name in model.parameters}
-    at = {"x": (np.cos, lambda t: -np.sin(t)), "y": (np.sin, np.cos)}  # position and speed
-    motion = [at[str(q.func)][order] for order in (0, 1) for q in given.mechanism.coordinates]
-    x0, exact = ([value(t) for value in motion] for t in (0.0, 2.0))
+    model, parameters, x0, exact = circling()
     how = {"parameters": parameters, "constraints": constraints, "method": "Radau"}
     errors = np.array([np.abs(end_of(model.stepper(2.0 / n, x0, **how), n) - exact).max() for n in (5, 10, 20)])
     assert np.log2(errors[:-1] / errors[1:]) == pytest.approx(5.0, abs=0.3)

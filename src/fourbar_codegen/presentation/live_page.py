@@ -176,7 +176,7 @@ def _text(
         "frames": {"rate": FRAMES_PER_SECOND, "least": MIN_FRAMES, "most": MAX_FRAMES},
         "arrow": ARROW,
         "t_span": [float(time) for time in run.settings["t_span"]],
-        "methods": {name: number for number, name in enumerate(STEP_CONTROLLED)},
+        "methods": {name: number for number, name in enumerate(STEP_CONTROLLED)},  # as export/page.h counts them
         "method": run.settings["method"],
         "rtol": run.settings["rtol"],
         "atol": run.settings["atol"],

@@ -129,6 +129,27 @@ def test_counts_and_interpolant_of_a_run():
     np.testing.assert_allclose(run.sol(times)[0], 0.3 * np.cos(2.0 * times), rtol=0, atol=1e-5)
 
 
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-5, 1e-7])
+def test_values_between_steps_that_are_longer_than_the_motion(tolerance):
+    """y' = k (sin 5 t - y) from y = -5 k / (k² + 25): where values between steps are asked for, their errors limit the
+    steps, as nothing else does."""
+    k, t = 1e6, me.dynamicsymbols._t
+    lag = fb.compile_model(first_order("lag", lambda y: [k * (sm.sin(5 * t) - y)], [-5.0 * k / (k**2 + 25.0)]))
+
+    def exact(t):
+        return (k**2 * np.sin(5.0 * t) - 5.0 * k * np.cos(5.0 * t)) / (k**2 + 25.0)
+
+    how = {"method": "Radau", "rtol": tolerance, "atol": tolerance}
+    times = np.linspace(0.0, 10.0, 501)
+    sampled = lag.simulate((0.0, 10.0), t_eval=times, **how)
+    dense = lag.simulate((0.0, 10.0), dense_output=True, events=["y1"], **how)
+    for values in (sampled.y[2], dense.sol(times)[2], lag.ensemble((0.0, 10.0), t_eval=times, **how).y[0, 2]):
+        np.testing.assert_allclose(values, exact(times), rtol=0, atol=10.0 * tolerance)
+    # The error of a time is that of the state over its rate, 5/s.
+    np.testing.assert_allclose(dense.t_events[0], np.pi / 5.0 * np.arange(16) + 1.0 / k, rtol=0, atol=2.0 * tolerance)
+    assert len(lag.simulate((0.0, 10.0), **how).t) < len(dense.t)
+
+
 def test_stiff_feedback_by_a_callable_is_in_the_jacobian(four_bar):
     """As many steps as by an input of the equations: a Jacobian without feedback would need thousands."""
     gain, x0 = 1e5, four_bar.initial_state()

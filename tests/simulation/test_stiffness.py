@@ -3,6 +3,7 @@
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
+from builders.oscillators import oscillator
 from builders.state_equations import first_order, hires
 
 import fourbar_codegen as fb
@@ -47,6 +48,16 @@ def test_a_published_stiff_problem_that_ends_early():
     assert not run.success
     assert SENTENCE in run.message
     assert "max_steps" in run.message
+
+
+@pytest.mark.parametrize("method", STABILITY)
+def test_fast_vibrations_are_not_stiff_however_their_units_differ(method):
+    """x = 0.3 cos 1e4 t, whose speed is 1e4 times as large: steps follow the vibration, and Radau would take more."""
+    run = fb.compile_model(oscillator()).simulate(
+        (0.0, 1.0), parameters={"k": 2e8}, method=method, rtol=1e-6, atol=1e-6
+    )
+    assert len(run.t) > 9000
+    assert SENTENCE not in run.message
 
 
 def test_other_runs_do_not(relaxation):

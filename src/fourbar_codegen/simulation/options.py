@@ -126,8 +126,9 @@ class RunOptions(NamedTuple):
         if isinstance(method, str) and method in SCIPYS:
             raise ModelError(
                 f"{method} is a method of SciPy, not of simulate: solve_ivp(ode, t_span, x0, "
-                f'method="{method}"{SCIPYS[method]}) with ode = model.ode(parameters, inputs) integrates without '
-                f'closing loops. Methods are {", ".join(STEPS)}; method="{STIFF}" is for stiff equations.'
+                f'method="{method}"{SCIPYS[method]}, rtol=..., atol=...) with ode = model.ode(parameters, inputs) '
+                f"integrates without closing loops. Methods are {', '.join(STEPS)}; "
+                f'method="{STIFF}" is for stiff equations.'
             )
         method = str(one_of(method, STEPS, "method"))
         if not (formulation is None or method == "IDA"):

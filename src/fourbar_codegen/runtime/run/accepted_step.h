@@ -40,6 +40,15 @@ static inline int fb_advance(fb_run *r)
     return status < 0 ? status : FB_RUN_PAUSED;
 }
 
+/* Whether values within a step to t_new are asked for: samples, events, or its interpolant. */
+static inline int fb_asks_between(const fb_run *r, const double t_new)
+{
+    const fb_samples *const samples = &r->samples;
+    return r->watch.n_events > 0 || r->watch.look_at_all ||
+           (samples->times && samples->next_time < samples->n_times &&
+            r->direction * (samples->times[samples->next_time] - t_new) < 0.0);
+}
+
 /* One accepted step; an FB_RUN, or negative from a callback. */
 static inline int fb_step(fb_run *r)
 {
@@ -64,6 +73,8 @@ static inline int fb_step(fb_run *r)
         if (!isfinite(h_abs))
             return FB_RUN_INFINITE;
         int status = method->attempt(s, t_new, &error);
+        if (status == 0 && error < 1.0 && method->between && fb_asks_between(r, t_new))
+            status = method->between(s, t_new, &error);
         if (status == 0 && error < 1.0 && s->project && !method->projects)
             status = fb_complete(s, t_new, &error);
         if (status != 0)

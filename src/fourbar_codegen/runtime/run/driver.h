@@ -106,7 +106,9 @@ static inline int fb_run_on(fb_run *r, int64_t n)
             return fb_cause(r, status);
         if (status == FB_RUN_PAUSED) {
 #ifndef FB_LIBRARY /* which has no sentences */
-            fb_note_stability(r);
+            status = fb_note_stability(r);
+            if (status < 0)
+                return status;
 #endif
             status = fb_look(r);
         }

@@ -15,6 +15,10 @@
  * are stiff, if no run of so many within was between. A run of fewer steps takes no time that a method could save. */
 enum { FB_STEPS_BETWEEN = 1000, FB_STIFF_STEPS = 15, FB_STEPS_WITHIN = 6 };
 
+/* The ratio depends on units, and may be far above the eigenvalue where the two states differ in other directions: in
+ * the end, so many power iterations decide. */
+enum { FB_POWER_ITERATIONS = 30 };
+
 /* The part of the region of stability, along the real axis, beyond which a step is at its border: there lengths of
  * steps vary by a tenth. */
 #define FB_BORDER 0.8
@@ -36,22 +40,63 @@ static inline double fb_stability_measure(const fb_stepper *s)
     return fabs(s->h) * sqrt(of_rates / of_states);
 }
 
-/* Notes whether the last step was at the border. */
-static inline void fb_note_stability(fb_run *r)
+/* The largest eigenvalue of dx'/dx at the state reached, by power iterations with differences of x'. Its size is the
+ * mean growth in the last of them, since the norm turns with complex eigenvalues, and depends on units. Evaluations are
+ * not counted, and may fail: then it is NaN; negative from a callback. */
+static inline int fb_largest_eigenvalue(fb_run *r, double *eigenvalue)
+{
+    fb_stepper *const s = &r->stepper;
+    const int64_t n_evaluations = s->n_evaluations;
+    double *const x = r->watch.along, *const change = x + s->padded, *const rates = x + 2 * s->padded;
+    double growth = 0.0;
+    int status = 0;
+    for (int i = 0; i < s->n; ++i)
+        change[i] = s->x[i] - s->x_new[i]; /* that of the two states above */
+    for (int k = 0; k < FB_POWER_ITERATIONS && status >= 0; ++k) {
+        double sum = 0.0;
+        for (int i = 0; i < s->n; ++i) {
+            const double share = change[i] / (s->atol[i] + s->rtol[i] * fabs(s->x[i]));
+            sum += share * share;
+        }
+        const double size = sqrt(sum / s->n);
+        growth += k >= FB_POWER_ITERATIONS / 3 ? log(size) : 0.0;
+        for (int i = 0; i < s->n; ++i)
+            x[i] = s->x[i] + change[i] / size;
+        status = fb_evaluate(s, s->t, x, rates);
+        for (int i = 0; i < s->n; ++i)
+            change[i] = rates[i] - fb_end_rates(s)[i];
+    }
+    if (status >= 0) /* the workspace of the equations is that of the state reached again */
+        status = fb_evaluate(s, s->t, s->x, rates);
+    s->problem->status = FB_OK;
+    s->n_evaluations = n_evaluations;
+    *eigenvalue = exp(growth / (FB_POWER_ITERATIONS - FB_POWER_ITERATIONS / 3));
+    return status;
+}
+
+/* Notes whether the last step was at the border; negative from a callback. */
+static inline int fb_note_stability(fb_run *r)
 {
     const fb_stepper *const s = &r->stepper;
     fb_stiffness *const f = &r->stiffness;
+    double eigenvalue = NAN;
+    int status = 0;
     if (!(s->tableau->stability > 0.0) || f->is_stiff || (f->at_border == 0 && s->n_steps % FB_STEPS_BETWEEN != 0))
-        return;
+        return 0;
     if (fb_stability_measure(s) > FB_BORDER * s->tableau->stability) {
         f->within = 0;
         f->at_border += 1;
-        f->is_stiff = f->at_border == FB_STIFF_STEPS;
+        if (f->at_border == FB_STIFF_STEPS) {
+            status = fb_largest_eigenvalue(r, &eigenvalue);
+            f->is_stiff = fabs(s->h) * eigenvalue > FB_BORDER * s->tableau->stability;
+            f->at_border = 0;
+        }
     } else if (f->at_border > 0) {
         f->within += 1;
         if (f->within == FB_STEPS_WITHIN)
             f->at_border = f->within = 0;
     }
+    return status;
 }
 
 #endif

@@ -48,6 +48,9 @@ typedef struct fb_method {
     /* a step to t_new: the state there, not projected, in `x_new`, and its error in units of the tolerances: a step is
      * accepted if that is below 1, so not if it is NaN */
     int (*attempt)(fb_stepper *s, double t_new, double *error);
+    /* the error of the last attempt's interpolant within the step to t_new, where that is larger, or NULL: a step is
+     * accepted by its end, unless values between are asked for */
+    int (*between)(fb_stepper *s, double t_new, double *error);
     /* a step of length h without an error estimate: the state at its end, not projected, in `x_new`, from x' at its
      * beginning; a status of the kernel. NULL if there are no such steps */
     int (*stages)(fb_stepper *s, double h);

@@ -8,6 +8,7 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from builders.oscillators import circling, on_a_line, oscillator
 from builders.state_equations import first_order
+from scipy.integrate import solve_ivp
 
 import fourbar_codegen as fb
 
@@ -48,7 +49,8 @@ def test_stiff_feedback_that_is_held_and_that_is_not(four_bar):
     """A damper by a callable is in the Jacobian, by difference quotients; held inputs are constant in a step."""
     gain, x0 = 1e5, four_bar.initial_state()
     damped = four_bar.stepper(0.02, x0, inputs={"F": lambda t, x: -gain * x[3]}, method="Radau")
-    exact = four_bar.simulate((0.0, 1.0), x0, inputs={"F": lambda t, x: -gain * x[3]}, method="Radau", rtol=1e-10)
+    ode = four_bar.ode(inputs={"F": lambda t, x: -gain * x[3]})
+    exact = solve_ivp(ode, (0.0, 1.0), x0, method="LSODA", rtol=1e-10, atol=1e-10)
     np.testing.assert_allclose(end_of(damped, 50), exact.y[:, -1], rtol=0, atol=1e-6)
     held = four_bar.stepper(0.02, x0, method="Radau")
     table = ([0.0, 1.0], [3.0, 3.0])

@@ -659,6 +659,8 @@ cdef const fb_tableau *tableau_of(str method) except NULL:
     """The coefficients of a method in C."""
     if method == "ALI3P":
         return &fb_trapezoid
+    if method == "RK4":
+        return &fb_rk4
     return &fb_radau_iia if method == "Radau" else fb_tableaus[<int>_METHODS[method]]
 
 
@@ -1465,8 +1467,7 @@ cdef class Stepper:
         self.breaks.after = self.breaks.before + self.breaks.n
         self.breaks.first, self.breaks.last = -np.copysign(INFINITY, h), np.copysign(INFINITY, h)
         self.kept = [_place(
-            stepper, ode, _steps_of(method), &fb_radau_iia if method == "Radau" else &fb_rk4, 4 * FB_PADDED(n) + n,
-            &watch.along)]
+            stepper, ode, _steps_of(method), tableau_of(method), 4 * FB_PADDED(n) + n, &watch.along)]
         if method == "Radau":
             tolerance = watch.along + 4 * FB_PADDED(n)
             stepper.rtol = stepper.atol = _fill(tolerance, FB_STEP_TOLERANCE, n)

@@ -9,6 +9,7 @@
 #ifndef FOURBAR_STIFFNESS_H
 #define FOURBAR_STIFFNESS_H
 
+#include "../steppers/runge_kutta.h"
 #include "run.h"
 
 /* Every so many steps there is a look, and at each step after one that was at the border. So many steps at the border
@@ -27,17 +28,9 @@ enum { FB_POWER_ITERATIONS = 30 };
 static inline double fb_stability_measure(const fb_stepper *s)
 {
     const int last = s->tableau->n_stages - 1;
-    const double *const rates = s->stages + last * s->padded, *const end = fb_end_rates(s);
     double *const x = s->x_new; /* between steps, of no one */
-    double of_states = 0.0, of_rates = 0.0;
     fb_combine(s, s->weights.stage + last, s->h, s->x_old, x);
-    for (int i = 0; i < s->n; ++i) {
-        const double unit = s->atol[i] + s->rtol[i] * fabs(s->x[i]);
-        const double state = (s->x[i] - x[i]) / unit, rate = (end[i] - rates[i]) / unit;
-        of_states += state * state;
-        of_rates += rate * rate;
-    }
-    return fabs(s->h) * sqrt(of_rates / of_states);
+    return fabs(s->h) * fb_rms(s, fb_end_rates(s), s->stages + last * s->padded) / fb_rms(s, s->x, x);
 }
 
 /* The largest eigenvalue of dx'/dx at the state reached, by power iterations with differences of x'. Its size is the
@@ -53,12 +46,7 @@ static inline int fb_largest_eigenvalue(fb_run *r, double *eigenvalue)
     for (int i = 0; i < s->n; ++i)
         change[i] = s->x[i] - s->x_new[i]; /* that of the two states above */
     for (int k = 0; k < FB_POWER_ITERATIONS && status >= 0; ++k) {
-        double sum = 0.0;
-        for (int i = 0; i < s->n; ++i) {
-            const double share = change[i] / (s->atol[i] + s->rtol[i] * fabs(s->x[i]));
-            sum += share * share;
-        }
-        const double size = sqrt(sum / s->n);
+        const double size = fb_rms(s, change, NULL);
         growth += k >= FB_POWER_ITERATIONS / 3 ? log(size) : 0.0;
         for (int i = 0; i < s->n; ++i)
             x[i] = s->x[i] + change[i] / size;

@@ -241,24 +241,30 @@ static inline int fb_solve_radau(fb_stepper *s, fb_radau *m, const double h)
     return 0;
 }
 
+/* An error in units of the tolerances: the root mean square of `change`, by the larger of both ends of a step. */
+static inline double fb_radau_norm(const fb_stepper *s, const fb_radau *m)
+{
+    double sum = 0.0;
+    for (int i = 0; i < s->n; ++i) {
+        const double size = fb_max(fabs(s->x[i]), fabs(s->x_new[i]));
+        const double share = m->change[i] / (s->atol[i] + s->rtol[i] * size);
+        sum += share * share;
+    }
+    return sqrt(sum / s->n);
+}
+
 /* The error of a step in units of the tolerances, by the embedded formula, filtered by the real matrix. */
 static inline int fb_radau_error_of(fb_stepper *s, fb_radau *m, const double h, double *error)
 {
     const int n = s->n;
     const double *rates = s->stages;
     for (int pass = 0; pass < 2; ++pass) {
-        double sum = 0.0;
         for (int i = 0; i < n; ++i)
             m->side[i] = rates[i] + (fb_radau_error[0] * m->z[i] + fb_radau_error[1] * m->z[n + i] +
                                      fb_radau_error[2] * m->z[2 * n + i]) /
                                         h;
         fb_solve_shifted(&m->equations, m->side, m->change);
-        for (int i = 0; i < n; ++i) {
-            const double size = fb_max(fabs(s->x[i]), fabs(s->x_new[i]));
-            const double share = m->change[i] / (s->atol[i] + s->rtol[i] * size);
-            sum += share * share;
-        }
-        *error = sqrt(sum / n);
+        *error = fb_radau_norm(s, m);
         if (*error < 1.0 || !(m->rejected || m->h_last == 0.0) || pass > 0)
             return 0;
         for (int i = 0; i < n; ++i)
@@ -302,7 +308,7 @@ static inline int fb_radau_between(fb_stepper *s, const double t_new, double *er
     fb_radau *const m = s->own;
     const int n = s->n;
     const double h = t_new - s->t, y = FB_RADAU_BETWEEN;
-    double sum = 0.0, value[3], slope[3];
+    double value[3], slope[3];
     for (int k = 0; k < 3; ++k) { /* of each stage, by the columns of the dense output */
         const double a = fb_radau_dense[k + 1], b = fb_radau_dense[6 + k], c = fb_radau_dense[11 + k];
         value[k] = y * (a + y * (b + y * c));
@@ -316,11 +322,7 @@ static inline int fb_radau_between(fb_stepper *s, const double t_new, double *er
     for (int i = 0; i < n; ++i)
         m->side[i] = m->rates[i] - (slope[0] * m->z[i] + slope[1] * m->z[n + i] + slope[2] * m->z[2 * n + i]) / h;
     fb_solve_shifted(&m->equations, m->side, m->change);
-    for (int i = 0; i < n; ++i) {
-        const double share = m->change[i] / (s->atol[i] + s->rtol[i] * fb_max(fabs(s->x[i]), fabs(s->x_new[i])));
-        sum += share * share;
-    }
-    const double found = sqrt(sum / n);
+    const double found = fb_radau_norm(s, m);
     *error = found <= *error ? *error : found; /* also if it is NaN */
     m->rejected |= !(*error < 1.0);
     return 0;

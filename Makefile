@@ -35,7 +35,7 @@ lint:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(BIN)/python -m mypy.stubtest fourbar_codegen.runtime --ignore-disjoint-bases --allowlist tests/harness/stubs.txt
+	$(BIN)/python -m mypy.stubtest $(addprefix fourbar_codegen.runtime.,batch evaluator implicit integrator) --ignore-disjoint-bases --allowlist tests/harness/stubs.txt
 	$(BIN)/python tests/harness/scripts.py build/scripts
 	$(BIN)/oxlint --quiet --deny-warnings --config .oxlintrc.json build/scripts/*.js
 	for script in build/scripts/*.js; do node --check $$script || exit 1; done

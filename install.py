@@ -22,7 +22,8 @@ SILENCE = 4.0
 """Seconds until a step that goes on says so."""
 
 SOURCES = (
-    *("pyproject.toml", "setup.py", "src/fourbar_codegen/roles.py"),
+    *("pyproject.toml", "setup.py", "src/fourbar_codegen/runtime/enumerations.py"),
+    "src/fourbar_codegen/building/flags.py",
     *(f"src/fourbar_codegen/runtime/**/*.{kind}" for kind in ("pyx", "pxd", "h", "inc")),
 )
 """What the extension modules are made of, beside the generated models; Python files are used where they stand."""

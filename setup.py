@@ -17,15 +17,12 @@ from setuptools.command.build_ext import build_ext
 
 RUNTIME = "src/fourbar_codegen/runtime"
 MACROS = [("NPY_NO_DEPRECATED_API", "NPY_1_7_API_VERSION")]
-# For compilers that take gcc's options. Behind the user's flags, as in toolchain.py: what is not a number has to be
-# noticed, and roundings are part of the method.
-STRICT = ["-fno-fast-math", "-fno-finite-math-only", "-fno-unsafe-math-optimizations"]
-LINK = ["-O2", *STRICT, *(["-Wl,-Bsymbolic"] if sys.platform.startswith(("linux", "freebsd")) else [])]
+FLAGS = runpy.run_path("src/fourbar_codegen/building/flags.py")
+STRICT = FLAGS["STRICT_FLAGS"]
+LINK = [*FLAGS["STRICT_LINK_FLAGS"], *(["-Wl,-Bsymbolic"] if sys.platform.startswith(("linux", "freebsd")) else [])]
 # What -O3 has more takes a third of the compilation time, without a gain for the README's rows.
 WRAPPED = ["-O2", "-fvect-cost-model=dynamic", "-fpeel-loops", "-funswitch-loops", "-fsplit-paths", "-g0", *STRICT]
-# The flags of toolchain.py.
-KERNEL = ["-O2", "-fpeel-loops", "-fno-tree-vectorize", "-g0", *STRICT]
-VERSIONS = {"avx2": ["-mavx2", "-mfma"], "avx512": ["-mavx2", "-mfma", "-mavx512f", "-mavx512dq", "-mavx512vl"]}
+KERNEL = [*FLAGS["KERNEL_FLAGS"], *STRICT]
 # Microsoft's: versions for more instructions are empty there.
 MICROSOFT = ["/O2", "/fp:precise", "/std:c11"]
 
@@ -66,8 +63,8 @@ class BuildExtension(build_ext):
             ext.extra_compile_args, ext.extra_link_args = KERNEL if is_model(ext) else WRAPPED, LINK
             # macOS builds may be for two kinds of processors at once.
             if platform.machine() in {"x86_64", "AMD64"} and sys.platform != "darwin":
-                for version, flags in VERSIONS.items():
-                    self.compile_version(ext, f"_{version}.c", flags)
+                for version, flags in FLAGS["VERSIONS"].items():
+                    self.compile_version(ext, f"{version}.c", list(flags))
         super().build_extension(ext)
         if is_model(ext):
             self.copy_sources(Path(self.get_ext_fullpath(ext.name)).parent)
@@ -79,7 +76,7 @@ class BuildExtension(build_ext):
 
     def copy_sources(self, folder: Path) -> None:
         """Copy what live pages are compiled from, when they are made."""
-        # Those of the part "derivatives" and the kernel in building/library.py.
+        # Those of the part "derivatives" and the kernel in building/kernel_library.py.
         for wrapper in Path("generated").glob("*/*.pyx"):
             place = folder / f"{wrapper.stem}_sources"
             self.mkpath(str(place))
@@ -101,7 +98,10 @@ class BuildExtension(build_ext):
 
 
 # A header that changes only with its text, so that nothing is compiled anew without need.
-enums, text = Path(RUNTIME, "fourbar_enums.h"), runpy.run_path("src/fourbar_codegen/roles.py")["enums_text"]()
+enums, text = (
+    Path(RUNTIME, "fourbar_enums.h"),
+    runpy.run_path("src/fourbar_codegen/runtime/enumerations.py")["enums_text"](),
+)
 if not enums.exists() or enums.read_text(encoding="utf-8") != text:
     enums.write_text(text, encoding="utf-8")
 

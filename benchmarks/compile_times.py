@@ -28,7 +28,7 @@ from sympy.physics.biomechanics import FirstOrderActivationDeGroote2016, Musculo
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.progress import Progress
+from fourbar_codegen.interface.progress import Progress
 
 STAGES = {
     "": "reading",

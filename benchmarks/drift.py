@@ -71,7 +71,7 @@ def main() -> None:
         return solve_ivp(tutorial.rhs, (0.0, END), x0, t_eval=t)
 
     def speeds(q: Any, u1: float) -> Any:
-        jacobian, _ = compiled.velocity(0.0, [*q, 0.0, 0.0, 0.0])
+        jacobian, _ = compiled.kernel.velocity(0.0, [*q, 0.0, 0.0, 0.0])
         return np.array([u1, *np.linalg.solve(jacobian[:, 1:], -jacobian[:, 0] * u1)])
 
     def in_the_book() -> Any:

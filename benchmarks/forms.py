@@ -20,11 +20,11 @@ from tutorial import Floats
 
 import fourbar_codegen as fb
 from fourbar_codegen.codegen.c_source import header_text, kernel_text
-from fourbar_codegen.compile import generate_kernel
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.lowering.lower import lower
 from fourbar_codegen.lowering.schedule import schedule
-from fourbar_codegen.progress import Progress
+from fourbar_codegen.pipeline.compile import generate_kernel
 
 FORMS = ("dense", "sparse", "recursive")
 FLAGS = ("-O2", "-fpeel-loops", "-fno-tree-vectorize", "-march=native", "-DFB_ONE_MACHINE")

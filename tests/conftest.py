@@ -13,8 +13,8 @@ from fourbar_codegen.building.compiler import wasm_compiler
 
 pytest_plugins = ["harness.costs"]
 # In docstrings: they compile with a second compiler, or a whole FMU.
-PAGE_EXAMPLE = "fourbar_codegen.compiled.CompiledModel.page"
-SLOW_EXAMPLES = {PAGE_EXAMPLE, "fourbar_codegen.export.export_fmu"}
+PAGE_EXAMPLE = "fourbar_codegen.page.live_page.page"
+SLOW_EXAMPLES = {PAGE_EXAMPLE, "fourbar_codegen.export.packaging.export_fmu"}
 LEFT_OUT = pytest.StashKey[list[str]]()
 
 

@@ -5,7 +5,6 @@ The names below are imported where they are first used: importing the package im
 
 from __future__ import annotations
 
-import sys
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -18,25 +17,35 @@ from fourbar_codegen.errors import (
     ModelWarning,
     SimulationError,
 )
+from fourbar_codegen.interface.methods import register
 
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
-    from fourbar_codegen.analysis.assembly_modes import AssemblyModes
     from fourbar_codegen.analysis.linearization import Linearization
     from fourbar_codegen.building.toolchain import get_include
-    from fourbar_codegen.compile import build_model, build_wheel, compile_model, generate_sources
-    from fourbar_codegen.compiled import CompiledModel, load, load_trajectory
-    from fourbar_codegen.differentiable import JaxModel, to_jax
-    from fourbar_codegen.export import export_c, export_fmu
-    from fourbar_codegen.fitting import Experiment, Fit, fit
+    from fourbar_codegen.compiled_model import CompiledModel, load
+    from fourbar_codegen.export.module import build_model, build_wheel
+    from fourbar_codegen.export.packaging import export_c, export_fmu
+    from fourbar_codegen.files.load import load_trajectory
+    from fourbar_codegen.fitting.fit import Experiment, Fit, fit
+    from fourbar_codegen.jax.jax_model import JaxModel, to_jax
     from fourbar_codegen.linkage.linkage import Linkage
     from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
+    from fourbar_codegen.pipeline.compile import compile_model
+    from fourbar_codegen.pipeline.generate import generate_sources
+    from fourbar_codegen.results.assembly_modes import AssemblyModes
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.kinematics import Branch, Kinematics
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import Event
+    from fourbar_codegen.simulation.methods import ALI3P, CVODE, DOP853, IDA, RK45, Radau, Tsit5
 
 __all__ = [
+    "ALI3P",
+    "CVODE",
+    "DOP853",
+    "IDA",
+    "RK45",
     "AssemblyError",
     "AssemblyModes",
     "Branch",
@@ -56,8 +65,10 @@ __all__ = [
     "ModelError",
     "ModelWarning",
     "Parameter",
+    "Radau",
     "SimulationError",
     "Trajectory",
+    "Tsit5",
     "build_model",
     "build_wheel",
     "compile_model",
@@ -76,52 +87,74 @@ __all__ = [
 ]
 
 _HOME = {
-    "AssemblyModes": "analysis.assembly_modes",
+    "ALI3P": "simulation.methods",
+    "CVODE": "simulation.methods",
+    "DOP853": "simulation.methods",
+    "IDA": "simulation.methods",
+    "RK45": "simulation.methods",
+    "Radau": "simulation.methods",
+    "Tsit5": "simulation.methods",
+    "AssemblyModes": "results.assembly_modes",
     "Branch": "results.kinematics",
-    "CompiledModel": "compiled",
+    "CompiledModel": "compiled_model",
     "Ensemble": "results.ensemble",
     "Event": "simulation.events",
-    "Experiment": "fitting",
-    "Fit": "fitting",
-    "JaxModel": "differentiable",
+    "Experiment": "fitting.fit",
+    "Fit": "fitting.fit",
+    "JaxModel": "jax.jax_model",
     "Kinematics": "results.kinematics",
     "Linearization": "analysis.linearization",
     "Linkage": "linkage.linkage",
     "Model": "modeling.model",
     "Parameter": "modeling.model",
     "Trajectory": "results.trajectory",
-    "build_model": "compile",
-    "build_wheel": "compile",
-    "compile_model": "compile",
-    "export_c": "export",
-    "export_fmu": "export",
-    "fit": "fitting",
-    "generate_sources": "compile",
+    "build_model": "export.module",
+    "build_wheel": "export.module",
+    "compile_model": "pipeline.compile",
+    "export_c": "export.packaging",
+    "export_fmu": "export.packaging",
+    "fit": "fitting.fit",
+    "generate_sources": "pipeline.generate",
     "get_include": "building.toolchain",
     "joint_force": "modeling.model",
-    "load": "compiled",
-    "load_trajectory": "compiled",
+    "load": "compiled_model",
+    "load_trajectory": "files.load",
     "multiplier": "modeling.model",
-    "to_jax": "differentiable",
+    "to_jax": "jax.jax_model",
 }
 
 
-class _EarlierModules:
-    """Says in a sentence why a pickle cannot be read that names a module by which its class was once found."""
+_METHODS = {
+    "StoredModel.built": "building.parts:build",
+    "StoredModel.reduced": "building.cached_models:reduced",
+    "Model._check_velocity_constraints": "dynamics.formation:check_velocity_constraints",
+    "Mechanism.forces_along_auxiliary_speeds": "dynamics.unknown_forces:forces_along_auxiliary_speeds",
+    "CompiledModel.page": "page.live_page:page",
+    "Trajectory.model": "compiled_model:model_of",
+    "Trajectory.save": "files.save:save_trajectory",
+    "Trajectory.plot": "views.figures:plot_trajectory",
+    "Trajectory.plot_paths": "views.figures:plot_paths",
+    "Trajectory.animate": "views.figures:animate",
+    "Trajectory.report": "views.report:report",
+    "Trajectory.to_dataframe": "files.tables:to_dataframe",
+    "Trajectory.to_xarray": "files.tables:to_dataset",
+    "Trajectory._repr_html_": "views.report:table_of_run",
+    "Ensemble.model": "compiled_model:model_of",
+    "Ensemble.save": "files.save:save_ensemble",
+    "Ensemble.plot": "views.figures:plot_ensemble",
+    "Ensemble.to_xarray": "files.tables:ensemble_dataset",
+    "Branch.model": "compiled_model:model_of",
+    "Branch.save": "files.save:save_branch",
+    "Branch.plot_paths": "views.figures:plot_branch",
+    "Kinematics.model": "compiled_model:model_of",
+    "Kinematics.plot": "views.figures:plot_kinematics",
+    "Kinematics.plot_paths": "views.figures:plot_branches",
+    "AssemblyModes.model": "compiled_model:model_of",
+    "AssemblyModes.plot": "views.figures:plot_modes",
+}
+"""Methods whose functions stand above their classes, where these are."""
 
-    NAMES = tuple(f"fourbar_codegen.{name}" for name in ("assembly", "ensemble", "integrate", "model", "trajectory"))
-
-    @classmethod
-    def find_spec(cls, name: str, *_: object) -> None:
-        if name in cls.NAMES:
-            raise ModuleNotFoundError(
-                f"There is no module {name} any more. A pickle that names it was made by an earlier version of "
-                "fourbar_codegen: make it again. Import the classes from fourbar_codegen itself.",
-                name=name,
-            )
-
-
-sys.meta_path.append(_EarlierModules)
+register({name: f"fourbar_codegen.{home}" for name, home in _METHODS.items()})
 
 
 def __getattr__(name: str) -> Any:

@@ -442,7 +442,7 @@ def test_plots_of_assembly_modes_draw_each_mode_in_its_panel(four_bar, monkeypat
         assert np.abs(ends - points["joint3_link3_joint"][:2]).max(axis=1).min() == 0.0
     with pytest.raises(fb.ModelError, match="nothing to draw"):
         four_bar.initial_states(parameters={"l1": 3.0}).plot()
-    monkeypatch.setattr("fourbar_codegen.presentation.figures.MAX_PANELS", 1)
+    monkeypatch.setattr("fourbar_codegen.views.figures.MAX_PANELS", 1)
     assert len(four_bar.initial_states().plot().axes) == 1
 
 

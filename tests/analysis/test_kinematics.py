@@ -451,11 +451,11 @@ def test_kinematics_without_masses_need_lengths_only():
 @pytest.mark.slow
 def test_links_drawn_along_every_mechanisms_branch_keep_their_lengths():
     """The ends of each link's lines, along the whole motion, to 1e-12 of the size of the mechanism."""
-    from fourbar_codegen.presentation.scene import scene
+    from fourbar_codegen.views.scene import scene
 
     for make, (_, values, _) in mechanisms.MECHANISMS.items():
         branch = found_of(make, values[::8])[0]
-        found = scene(branch.model, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)])
+        found = scene(branch.kernel, branch.positions[:, :, np.isfinite(branch.q).all(axis=0)])
         links = [line for line in found.lines if line.kind == "link"]
         assert links, make
         for line in links:

@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ellipj, ellipk
 
-from fourbar_codegen.compiled import CompiledModel
-from fourbar_codegen.kernel.loading import Loaded
+from fourbar_codegen.building.loading import Loaded, kernel_of
+from fourbar_codegen.compiled_model import facade_of
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.runtime.evaluator import kernel_at
 
@@ -94,7 +94,8 @@ def manifest(rows):
 def loaded_pendulum(path, rows=1):
     """The compiled model in a shared library, which stays loaded."""
     kernel = ctypes.addressof(ctypes.c_char.in_dll(ctypes.CDLL(str(path)), "pendulum_kernel"))
-    return CompiledModel.from_loaded(Loaded(kernel_at(kernel), Layout.from_json(manifest(rows)), path))
+    loaded = Loaded(kernel_at(kernel), Layout.from_json(manifest(rows)), path)
+    return facade_of(kernel_of(loaded))
 
 
 class Swing(NamedTuple):

@@ -24,9 +24,10 @@ from builders.systems import slider
 from harness import PROJECT
 
 import fourbar_codegen as fb
-from fourbar_codegen import compile as pipeline
-from fourbar_codegen.building import cache, library, toolchain
+from fourbar_codegen.building import cache, cached_models, kernel_library, stored_model, toolchain
 from fourbar_codegen.expressions import fingerprint
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.pipeline import compile as pipeline
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -100,7 +101,8 @@ def forget_digests():
 @pytest.mark.slow
 def test_cache_key_is_the_same_in_processes_with_other_hash_seeds():
     code = (
-        "import fourbar_codegen as fb\nfrom fourbar_codegen.compile import key_of\nprint(key_of(fb.models.four_bar()))"
+        "import fourbar_codegen as fb\nfrom fourbar_codegen.pipeline.compile import key_of\n"
+        "print(key_of(fb.models.four_bar()))"
     )
     import os
 
@@ -178,7 +180,7 @@ def test_compile_model_of_a_cached_model_forms_no_equations(monkeypatch):
     def forbidden(*_):
         raise AssertionError("a warm call must not come here")
 
-    monkeypatch.setattr(pipeline, "_generate", forbidden)
+    monkeypatch.setattr(pipeline, "generate_kernel", forbidden)
     warm = fb.compile_model(slider())
     x = [0.5, 0.1, 0.2, 0.3]
     assert warm.rhs(0.0, x).tolist() == cold.rhs(0.0, x).tolist()
@@ -225,7 +227,9 @@ def compilations(monkeypatch):
     """The libraries that are compiled from now on."""
     calls = []
     real = toolchain.compile_library
-    monkeypatch.setattr(library, "compile_library", lambda path, *more: calls.append(path.name) or real(path, *more))
+    monkeypatch.setattr(
+        kernel_library, "compile_library", lambda path, *more: calls.append(path.name) or real(path, *more)
+    )
     return calls
 
 
@@ -437,7 +441,7 @@ def test_cache_with_a_limit_of_one_byte_serves_models_and_their_parts(monkeypatc
 def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, tmp_path):
     """Another process may clear the cache between two steps of a compilation."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    original, removed = library.build_part, []
+    original, removed = kernel_library.build_part, []
 
     def build_part(*arguments, **options):
         path = original(*arguments, **options)
@@ -446,7 +450,7 @@ def test_library_that_vanishes_during_a_compilation_is_built_again(monkeypatch, 
             removed.append(path)
         return path
 
-    monkeypatch.setattr(library, "build_part", build_part)
+    monkeypatch.setattr(kernel_library, "build_part", build_part)
     assert np.isfinite(fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
     assert len(removed) == 2
 
@@ -550,9 +554,9 @@ def test_module_built_with_other_structs_is_refused_on_loading(monkeypatch, tmp_
 @pytest.mark.slow
 def test_batch_functions_of_another_layout_are_refused_when_attached(monkeypatch):
     model, found = fb.compile_model(slider()), []
-    attach = type(model)._attach_batch_functions
+    attach = type(model.kernel).attach_batch_functions
     with monkeypatch.context() as patched:
-        patched.setattr(fb.CompiledModel, "_attach_batch_functions", lambda _, address: found.append(address))
+        patched.setattr(Kernel, "attach_batch_functions", lambda _, address: found.append(address))
         model.require_batch_functions()
     # The version, the sizes of eight structs, the width, and two functions.
     words = (ctypes.c_size_t * 12).from_address(found[0])
@@ -560,12 +564,12 @@ def test_batch_functions_of_another_layout_are_refused_when_attached(monkeypatch
         changed = (ctypes.c_size_t * 12)(*words)
         changed[place] += 8
         with pytest.raises(fb.ModelError, match="another version of this package"):
-            attach(model, ctypes.addressof(changed))
+            attach(model.kernel, ctypes.addressof(changed))
     # As it was before it had sizes: the width, and two functions.
     with pytest.raises(fb.ModelError, match="another version of this package"):
-        attach(model, ctypes.addressof(words) + ctypes.sizeof(ctypes.c_size_t * 9))
+        attach(model.kernel, ctypes.addressof(words) + ctypes.sizeof(ctypes.c_size_t * 9))
     assert model.lacks_batch_functions
-    attach(model, found[0])
+    attach(model.kernel, found[0])
     assert not model.lacks_batch_functions
 
 
@@ -907,7 +911,7 @@ def test_checksum_that_names_a_file_outside_its_folder_is_refused(shared):
     outside = shared.parent / "outside.so"
     outside.write_text("outside")
     for name in (str(outside), "../../outside.so"):
-        (module.parent / "checksum").write_text(f"{cache._digest(outside)}  {name}\n")
+        (module.parent / "checksum").write_text(f"{stored_model.digest_of_file(outside)}  {name}\n")
         assert cache.find_cached("model", KEY) is None
         assert cache.cached("model", KEY, built_by("again")).read_text() == "again"
 
@@ -1065,9 +1069,7 @@ def test_module_truncated_anywhere_is_refused_on_loading(tmp_path, share):
 def test_cache_cleared_between_steps_is_built_again_up_to_five_times(monkeypatch, tmp_path):
     """Between any two steps another process may remove a folder; whoever looks for it builds it again."""
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
-    from fourbar_codegen.kernel import loading
-
-    original, removed = loading.load_file, []
+    original, removed = cached_models.load_file, []
 
     def load_file(path):
         if len(removed) < 2:
@@ -1075,11 +1077,11 @@ def test_cache_cleared_between_steps_is_built_again_up_to_five_times(monkeypatch
             shutil.rmtree(path.parent)
         return original(path)
 
-    monkeypatch.setattr(loading, "load_file", load_file)
+    monkeypatch.setattr(cached_models, "load_file", load_file)
     assert np.isfinite(fb.compile_model(slider()).rhs(0.0, [0.5, 0.1, 0.2, 0.3])).all()
     assert len(removed) == 2
     with monkeypatch.context() as patch:
-        patch.setattr(loading, "load_file", lambda path: shutil.rmtree(path.parent) or original(path))
+        patch.setattr(cached_models, "load_file", lambda path: shutil.rmtree(path.parent) or original(path))
         with pytest.raises(fb.CacheError, match="was removed 5 times"):
             fb.compile_model(slider())
 

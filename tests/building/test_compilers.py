@@ -15,10 +15,11 @@ from harness import PROJECT
 from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
-import fourbar_codegen.compile
+import fourbar_codegen.export.module
 from fourbar_codegen.building import compiler as compilers
-from fourbar_codegen.compiled import CompiledModel
-from fourbar_codegen.kernel.loading import load_file
+from fourbar_codegen.building.loading import load_file
+from fourbar_codegen.compiled_model import CompiledModel
+from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.batch import width
 from fourbar_codegen.runtime.evaluator import versions
 
@@ -125,13 +126,13 @@ def test_shipped_module_on_older_processors_selects_its_version(tutorial, proces
 def test_versions_of_a_kernel_for_each_instruction_set_give_the_same_rates(four_bar, tutorial, tmp_path, built):
     path = four_bar.path if built == "installed" else fb.build_model(fb.models.four_bar(), tmp_path)
     loaded = load_file(path)
-    models = [CompiledModel(kernel, loaded.layout) for kernel in versions(loaded.kernel)]
+    models = [CompiledModel(Kernel(capsule, loaded.layout)) for capsule in versions(loaded.kernel)]
     assert [model.instructions for model in models] == ["baseline", "avx2", "avx512"][: len(models)]
     assert fb.load(path).instructions == models[-1].instructions
     if platform.machine() == "x86_64":
         flags = Path("/proc/cpuinfo").read_text().split()
         assert len(models) == 1 + ("avx2" in flags) + ("avx512dq" in flags)
-        assert [width(model) for model in models] == [2, 4, 8][: len(models)]
+        assert [width(model.kernel) for model in models] == [2, 4, 8][: len(models)]
     states = np.array(STATE)[:, None] + 1e-2 * np.sin(np.arange(6 * 19)).reshape(6, 19)
     expected = np.stack([tutorial.rhs(0.3, state) for state in states.T], axis=1)
     for model in models:
@@ -152,7 +153,7 @@ def test_a_version_that_differs_from_the_equations_is_not_built(
     """Not only the version that this machine would take is compared."""
     if len(versions(load_file(fb.load("four_bar").path).kernel)) == 1:
         pytest.skip("this processor has no AVX2")
-    original = fourbar_codegen.compile.build_extension
+    original = fourbar_codegen.export.module.build_extension
 
     def damaged(name, sources, *arguments, **options):
         text, count = re.subn(f"({entry})", r"\g<1>1.001*", sources[f"slider_{part}.c"], count=1)
@@ -160,7 +161,7 @@ def test_a_version_that_differs_from_the_equations_is_not_built(
         version = sources[f"slider_{part}_avx2.c"].replace(f'#include "slider_{part}.c"', text)
         return original(name, {**sources, f"slider_{part}_avx2.c": version}, *arguments, **options)
 
-    monkeypatch.setattr(fourbar_codegen.compile, "build_extension", damaged)
+    monkeypatch.setattr(fourbar_codegen.export.module, "build_extension", damaged)
     with pytest.raises(fb.BuildError, match=message):
         fb.build_model(slider(), tmp_path)
 

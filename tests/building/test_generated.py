@@ -191,7 +191,7 @@ def test_static_pivot_order_needs_no_pivoting_along_a_motion(make):
     trajectory = compiled.simulate((0.0, 2.0), inputs=dict.fromkeys(compiled.inputs, 0.0), t_eval=np.linspace(0, 2, 21))
     assert trajectory.success
     for t, x in zip(trajectory.t, trajectory.y.T, strict=True):
-        jacobian = compiled.velocity(t, x)[0][np.ix_(order.rows, order.speeds)]
+        jacobian = compiled.kernel.velocity(t, x)[0][np.ix_(order.rows, order.speeds)]
         for k in range(compiled.n_c):
             columns = [[*range(k), j] for j in range(k, compiled.n_u)]
             row = [abs(np.linalg.det(jacobian[: k + 1, chosen])) for chosen in columns]

@@ -15,7 +15,7 @@ import pytest
 from builders.systems import slider
 
 import fourbar_codegen as fb
-from fourbar_codegen.building.wheel import pack_wheel
+from fourbar_codegen.export.wheel import pack_wheel
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("unoptimized")]
 

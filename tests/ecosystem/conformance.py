@@ -182,7 +182,7 @@ def run(case: Case, *, is_timed: bool = False) -> Found:
         error = float(np.abs(theirs - ours).max() / np.abs(ours).max())
         ratio = times_faster(model, rates, x0) if is_timed else ratio
     return Found(
-        model.n_q, model.n_u, model.n_c + model.n_i, model.manifest["operations"]["dynamics"], compile_time,
+        model.n_q, model.n_u, model.n_c + model.kernel.n_i, model.manifest["operations"]["dynamics"], compile_time,
         reference_time, error, ratio, float(np.abs(trajectory.constraint_residual).max(initial=0.0)),
         "" if trajectory.success else trajectory.message, warned,
     )  # fmt: skip

@@ -69,7 +69,7 @@ def test_multipliers_at_closed_states_balance_the_equations_with_sympys_rates(fo
     # M u' = f + J^T lambda and J u' + gamma = 0, with u' from SymPy's equations.
     for x in random_states(four_bar, 100, closed=True):
         accelerations = tutorial.rhs(0.5, x)[3:]
-        _, mass_matrix, forcing, jacobian, bias = four_bar.dynamics(0.5, x)
+        _, mass_matrix, forcing, jacobian, bias = four_bar.kernel.dynamics(0.5, x)
         multipliers = four_bar.multipliers(0.5, x)
         scale = np.abs(forcing).max() + np.abs(mass_matrix @ accelerations).max()
         residual = mass_matrix @ accelerations - forcing - jacobian.T @ multipliers

@@ -159,9 +159,9 @@ def test_derivatives_of_sinc_equal_series_also_at_zero():
         values = [sm.diff(sm.sin(t) / t, t, order).subs(t, sm.Rational(x)).evalf(30, maxn=200) for order in range(3)]
         # Beyond the series, from 1 on, the quotients lose less than a digit.
         assert compiled.jacobian(0.0, [x, 0.0])[1, 0] == pytest.approx(float(values[1]), rel=2e-15)
-        assert compiled.default_inputs(x) == pytest.approx([float(value) for value in values], rel=2e-15)
+        assert compiled.kernel.default_inputs(x) == pytest.approx([float(value) for value in values], rel=2e-15)
     assert compiled.jacobian(0.0, [0.0, 0.0])[1, 0] == 0.0
-    assert compiled.default_inputs(0.0) == pytest.approx([1.0, 0.0, -1 / 3], rel=1e-15)
+    assert compiled.kernel.default_inputs(0.0) == pytest.approx([1.0, 0.0, -1 / 3], rel=1e-15)
 
 
 HYPERBOLIC = [sm.sech, sm.csch, sm.coth, sm.acoth, sm.asech, sm.acsch]
@@ -176,7 +176,7 @@ def test_hyperbolic_functions_that_c_lacks_equal_sympys_from_tiny_to_large():
         exact = [function(sm.Float(x, 40)).evalf(30) for function in HYPERBOLIC]
         expected = [float(value) if value.is_real else np.nan for value in exact]
         # The functions of the C library err by a few units; acosh(1 / x) at 0.999 by 1 / (2 (1 - x)) of them.
-        np.testing.assert_allclose(compiled.default_inputs(x), expected, rtol=1e-13)
+        np.testing.assert_allclose(compiled.kernel.default_inputs(x), expected, rtol=1e-13)
 
 
 @pytest.mark.slow
@@ -247,14 +247,15 @@ def test_derivatives_of_splines_of_states_and_of_time_equal_scipys():
     F = me.dynamicsymbols("F")
     model = fb.Model(sliding(F - k * spline(q)), parameters={m: 2.0, k: 0.8}, inputs={F: spline(k * t)})
     compiled = fb.compile_model(model)
-    p = compiled.parameter_vector(None)
+    p = compiled.kernel.parameter_vector(None)
     for x in (-0.9, -0.4, 0.1, 0.55, 0.95):
         wrt_state, wrt_parameters, _ = compiled.vjp(x, [x, 0.3], [0.0, 1.0])
         assert wrt_state == pytest.approx([-0.8 * SPLINE(x, 1) / 2, 0.0], rel=1e-11)
         rate = (x * SPLINE(0.8 * x, 1) - SPLINE(x)) / 2
         force = SPLINE(0.8 * x) - 0.8 * SPLINE(x)
         assert wrt_parameters == pytest.approx([-force / 4, rate], rel=1e-11)
-        assert compiled.default_input_partials(x, p)[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
+        partials = compiled.kernel.default_input_partials(x, p)
+        assert partials[0] == pytest.approx([0.0, x * SPLINE(0.8 * x, 1)], rel=1e-11)
 
 
 def test_speed_without_a_coordinate_decays_as_the_closed_form():

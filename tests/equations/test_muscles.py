@@ -92,7 +92,7 @@ def test_system_with_a_muscle_has_its_states_and_sympys_rates(lift):
     lift, compiled = lift
     assert compiled.auxiliary_states == tuple(str(state.func) for state in lift.muscle.x)
     assert compiled.inputs == ("e_biceps",)
-    assert compiled.default_inputs(0.3).tolist() == [0.0]
+    assert compiled.kernel.default_inputs(0.3).tolist() == [0.0]
     x0 = lift.start()
     for x in (x0, x0 * 1.01, x0 * 0.99 + 1e-3):
         expected = lift.rates(x, 0.7)

@@ -80,7 +80,7 @@ def test_rates_and_jacobian_of_random_linkages_equal_sympys(linkage):
     model = fb.Model(system, name="linkage", parameters={})
     compiled = fb.compile_model(model)
     p = [values[sm.Symbol(name)] for name in compiled.parameters]
-    jacobian = compiled.velocity(0.4, x, p)[0][:, compiled.n_u - compiled.n_c :]
+    jacobian = compiled.kernel.velocity(0.4, x, p)[0][:, compiled.n_u - compiled.n_c :]
     # SymPy's elimination has no pivoting, and no result in singular positions.
     assume(compiled.n_c == 0 or np.linalg.cond(jacobian) < 1e4)
     # SymPy solves with this matrix, which has the constraints' rows in it, and with it again for derivatives of what it

@@ -398,8 +398,8 @@ def test_nearly_dependent_constraints_in_the_recursive_form_still_hold(closed):
         q = np.zeros(closed.n_q)
         q[0::2], q[1::2] = bend, -bend
         x = np.concatenate((q, np.linspace(-1.0, 1.0, closed.n_u)))
-        accelerations, multipliers = closed.accelerations(0.0, x)
-        _, matrix, forcing, jacobian, bias = closed.dynamics(0.0, x)
+        accelerations, multipliers = closed.kernel.accelerations(0.0, x)
+        _, matrix, forcing, jacobian, bias = closed.kernel.dynamics(0.0, x)
         # Rounding errors grow with the condition of J, which is 1 / bend.
         tolerance = 1e-13 / bend * np.abs(accelerations).max()
         np.testing.assert_allclose(jacobian @ accelerations, -bias, rtol=0, atol=tolerance * np.abs(jacobian).max())

@@ -20,7 +20,7 @@ def test_repeated_constraints_change_nothing_but_the_multipliers(constraints):
     np.testing.assert_allclose(repeated.initial_state([0.6], [0.5]), x0, rtol=0, atol=1e-14)
     np.testing.assert_allclose(repeated.rhs(0.0, x0), single.rhs(0.0, x0), rtol=1e-13)
     # J^T lambda = M u' - f has many solutions; NumPy's lstsq gives the shortest.
-    _, mass_matrix, forcing, jacobian, _ = repeated.dynamics(0.0, x0)
+    _, mass_matrix, forcing, jacobian, _ = repeated.kernel.dynamics(0.0, x0)
     reaction = mass_matrix @ repeated.rhs(0.0, x0)[2:] - forcing
     expected = np.linalg.lstsq(jacobian.T, reaction)[0]
     np.testing.assert_allclose(repeated.multipliers(0.0, x0), expected, rtol=1e-12)
@@ -65,7 +65,7 @@ def test_redundant_rows_hold_to_the_size_of_their_terms(g):
     """Upright, or without gravity, p'' = (g / l) sin p = 0, and the terms l v^2 of gamma cancel: nothing is left that a
     violation could be compared with but these terms."""
     compiled = fb.compile_model(three_uprights())
-    p = compiled.parameter_values({"g": g})
+    p = compiled.kernel.parameter_values({"g": g})
     for angle in (0.0, 0.9) if g == 0.0 else (0.0, np.pi):
         for size in (1e-13, 1e-12, 1e-10, 1e-8):
             for v in (1e-3, 1.0, 50.0):

@@ -97,7 +97,7 @@ def test_long_chains_balance_the_torques_of_recursive_newton_euler(model, links,
         columns = [joint_torques(links, gravity, q, u, unit)[0] - bias for unit in np.eye(n)]
         np.testing.assert_allclose(mass_matrix, np.array(columns).T, rtol=0, atol=1e-10 * np.abs(mass_matrix).max())
         np.testing.assert_allclose(compiled.rhs(0.0, x)[:n], u, rtol=0, atol=0)
-        accelerations, multipliers = compiled.accelerations(0.0, x)
+        accelerations, multipliers = compiled.kernel.accelerations(0.0, x)
         torques = joint_torques(links, gravity, q, u, accelerations)[0]
         reactions = jacobian[: compiled.n_c].T @ multipliers
         size = np.abs(bias).max() + np.abs(reactions).max(initial=0.0)
@@ -170,10 +170,10 @@ def test_row_of_parallelograms_of_any_length_moves_as_the_closed_form(loops):
         x = np.zeros(compiled.n_x)
         x[:upright], x[compiled.n_q : compiled.n_q + upright] = angle, 1.7
         expected = ((loops + 1) / 2 + loops) / ((loops + 1) / 3 + loops) * G * np.sin(angle)
-        accelerations, multipliers = compiled.accelerations(0.0, x)
+        accelerations, multipliers = compiled.kernel.accelerations(0.0, x)
         np.testing.assert_allclose(accelerations[:upright], expected, rtol=1e-10, atol=1e-10)
         np.testing.assert_allclose(accelerations[upright:], 0.0, rtol=0, atol=1e-9)
-        _, mass_matrix, forcing, jacobian, _ = compiled.dynamics(0.0, x)
+        _, mass_matrix, forcing, jacobian, _ = compiled.kernel.dynamics(0.0, x)
         balance = mass_matrix @ accelerations - forcing - jacobian.T @ multipliers
         np.testing.assert_allclose(balance, 0.0, rtol=0, atol=1e-10 * np.abs(forcing).max())
 
@@ -276,7 +276,7 @@ def test_sparse_equations_with_a_loop_at_its_dead_point_hold_to_rounding():
         def determinant(angle, place=place, dead=dead):
             moved = dead.copy()
             moved[place] = angle
-            rows = model.dynamics(0.0, moved, None, [])[3][-2:]
+            rows = model.kernel.dynamics(0.0, moved, None, [])[3][-2:]
             return np.linalg.det(rows[:, 1:][:, np.abs(rows[:, 1:]).max(axis=0) > 0.0])
 
         angles = np.linspace(dead[place] - 3.0, dead[place] + 3.0, 601)
@@ -285,10 +285,10 @@ def test_sparse_equations_with_a_loop_at_its_dead_point_hold_to_rounding():
         dead[place] = brentq(determinant, angles[first], angles[first + 1], xtol=1e-15) + offset
         states.append(dead)
     for state in states:
-        _, mass, forcing, jacobian, bias = model.dynamics(0.0, state, None, [])
+        _, mass, forcing, jacobian, bias = model.kernel.dynamics(0.0, state, None, [])
         whole = np.block([[mass, -jacobian.T], [jacobian, np.zeros((8, 8))]])
         expected = np.linalg.solve(whole, np.concatenate((forcing, -bias)))
-        found = np.concatenate(model.accelerations(0.0, state))
+        found = np.concatenate(model.kernel.accelerations(0.0, state))
         np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
     # Lanes in which it is dead are left to the functions for single states.
     together = model.rhs_batch(0.0, np.column_stack(states))

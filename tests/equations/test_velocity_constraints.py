@@ -76,7 +76,7 @@ def test_velocity_constraints_in_any_form_keep_the_positions(stated, method):
     assert np.abs(run.constraint_residual).max() < 1e-12
     # J^T lambda is the bar's force, whatever the row's form: along the bar, m (v^2 - g y) for a length of 1.
     x, y, u, v = (run[name][-1] for name in ("x", "y", "v_x", "v_y"))
-    force = model.velocity(1.0, run.y[:, -1])[0].T @ run.multipliers[:, -1]
+    force = model.kernel.velocity(1.0, run.y[:, -1])[0].T @ run.multipliers[:, -1]
     tension = 2.0 * (u**2 + v**2 - 9.81 * y)
     np.testing.assert_allclose(force, [-tension * y, -tension * x], rtol=0, atol=1e-8 * tension)
 

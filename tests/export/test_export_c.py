@@ -24,8 +24,8 @@ from harness.c_library import FUNCTION, STRICT, Library
 from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
-from fourbar_codegen.codegen.c_library import RESERVED, RESERVED_FAMILIES
-from fourbar_codegen.roles import METHODS, STEP_CONTROLLED, Status, Watched
+from fourbar_codegen.export.c_library import RESERVED, RESERVED_FAMILIES
+from fourbar_codegen.runtime.enumerations import METHODS, STEP_CONTROLLED, Status, Watched
 
 STIFF_MODELS = {
     "HIRES": (lambda: first_order("hires", hires, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057]), 321.8122),
@@ -111,7 +111,7 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
     n, n_q, n_p, n_r, n_c = compiled.n_x, compiled.n_q, compiled.n_p, compiled.n_r, compiled.n_c
     for mechanism, at in random_states(compiled, library, np.random.default_rng(7)):
         t, x, p, r = at
-        matrices = compiled.dynamics(*at)
+        matrices = compiled.kernel.dynamics(*at)
         kkt = np.block([[matrices[1], -matrices[3].T], [matrices[3], np.zeros((n_c, n_c))]])
         sizes = np.linalg.svd(kkt, compute_uv=False)
         condition = sizes[0] / sizes[sizes > 1e-12 * sizes[0]][-1]
@@ -136,10 +136,10 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
         accelerations, multipliers = np.zeros(compiled.n_u), np.zeros(compiled.n_l)
         assert library.call("solution", mechanism, accelerations, multipliers) == 0
         check(accelerations, rates[n_q : n_q + compiled.n_u])
-        check(multipliers, compiled.accelerations(*at)[1])
+        check(multipliers, compiled.kernel.accelerations(*at)[1])
         kinetic, potential = ctypes.c_double(), ctypes.c_double()
         library.call("energies", mechanism, ctypes.byref(kinetic), ctypes.byref(potential))
-        check([kinetic.value, potential.value], compiled.energy(*at))
+        check([kinetic.value, potential.value], compiled.kernel.energy(*at))
         vectors = np.zeros(3), np.zeros(3), np.zeros(3)
         library.call("momenta", mechanism, *vectors)
         check(np.array(vectors), np.array(compiled.momentum(*at)))
@@ -149,14 +149,14 @@ def test_c_library_of_every_model_gives_pythons_numbers(exported, name, compiler
             check(outputs, compiled.output(*at))
         points = np.zeros((library.sizes["points"], 3))
         library.call("points", mechanism, points)
-        check(points, compiled.drawing(*at)[0])
+        check(points, compiled.kernel.drawing(*at)[0])
         inputs = [library.call("input", mechanism, k) for k in range(n_r)]
-        check(inputs, compiled.input_values(r or {}, compiled.default_inputs(t, p)) if n_r else [])
+        check(inputs, compiled.kernel.input_values(r or {}, compiled.kernel.default_inputs(t, p)) if n_r else [])
         check(
             library.call("violation", mechanism),
-            max(map(abs, np.concatenate(compiled.constraint_violation(*at))), default=0),
+            max(map(abs, np.concatenate(compiled.kernel.constraint_violation(*at))), default=0),
         )
-        times = compiled.breakpoints(p)
+        times = compiled.kernel.breakpoints(p)
         assert library.call("next_breakpoint", mechanism) == min(times[times > t], default=np.inf)
         # Central differences of the library's own function: their errors are some h^2 = 1e-10 of the change.
         for k in range(n_p):

@@ -21,7 +21,7 @@ from harness.programs import prepare_zig, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.building.compiler import cross_compiler
-from fourbar_codegen.roles import STEP_CONTROLLED
+from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED
 
 pytestmark = pytest.mark.slow
 
@@ -371,11 +371,14 @@ def test_fmu_directional_derivatives_equal_the_models_jacobians(fmus, fmi, tmp_p
         references = [[instance.references[n] for n in group] for group in (names, knowns)]
         return np.array(instance.fmu.getDirectionalDerivative(*references, [*seed]))
 
-    r = four_bar.default_inputs(0.3)
+    r = four_bar.kernel.default_inputs(0.3)
     jacobian = np.hstack([four_bar.jacobian(0.3, x, None, r), four_bar.input_jacobian(0.3, x, None, r)])
     np.testing.assert_allclose(derivative(unknowns), jacobian @ seed, rtol=1e-10)
     h = 1e-6
-    points = [four_bar.drawing(0.3, x + side * h * seed[:6], four_bar.parameter_vector(None), r)[0] for side in (-1, 1)]
+    points = [
+        four_bar.kernel.drawing(0.3, x + side * h * seed[:6], four_bar.kernel.parameter_vector(None), r)[0]
+        for side in (-1, 1)
+    ]
     expected = (points[1] - points[0])[four_bar.points.index("P44")] / (2 * h)
     np.testing.assert_allclose(derivative(["P44.x", "P44.y"]), expected[:2], rtol=0, atol=1e-8)
 

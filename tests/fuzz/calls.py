@@ -175,14 +175,10 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "breakpoints", "capsule", "constraint_vjp", "constraint_jvp", "default_input_partials",
-    "defaults_in_force", "described", "evaluate", "evaluate_along", "failure", "find", "from_file",
-    "from_loaded", "has_inputs", "held_inputs", "input_values", "lacks_batch_functions", "lacks_derivatives",
-    "lacks_products", "missing", "motion_along", "parameter_values", "quantities_along", "rates_at_rest",
-    "require_batch_functions", "require_derivatives", "require_output_derivatives", "require_products", "title",
-    "too_few_dependent",
+    "lacks_batch_functions", "lacks_derivatives", "lacks_products",
+    "require_batch_functions", "require_derivatives", "require_products",
 }  # fmt: skip
-"""Names of `CompiledModel` by which parts of the package speak to each other."""
+"""Names of `CompiledModel` without arguments of a user."""
 
 
 @cache
@@ -190,22 +186,23 @@ def calls_of(name: str) -> dict[str, Call]:
     """Every public name: of the package, of the model that is named, and of what its functions return."""
     model = fb.load("four_bar") if name == "four_bar" else fb.compile_model(fb.models.slider_crank())
     calls = Calls(model)
-    x0 = model.initial_state()
-    p, r = np.array(list(model.defaults.values())), model.default_inputs(0.3)
+    kernel, x0 = model.kernel, model.initial_state()
+    p, r = np.array(list(model.defaults.values())), kernel.default_inputs(0.3)
     state = {"t": 0.3, "x": x0}
     values = {"p": p, "r": r}
     for function in (
-        "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "accelerations", "forcing", "tree_forcing",
+        "rhs", "jacobian", "parameter_jacobian", "input_jacobian", "forcing", "tree_forcing",
         "velocity_constraints", "multipliers", "output", "output_jacobian", "output_parameter_jacobian",
-        "output_input_jacobian", "output_derivatives", "kinetic_energy", "potential_energy", "linearize",
+        "output_input_jacobian", "kinetic_energy", "potential_energy", "linearize", "state_space",
     ):  # fmt: skip
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.
     for function in (
-        "dynamics", "velocity", "constraint_violation", "constraint_scale", "energy", "momentum", "drawing",
-        "constraint_partials",
+        "accelerations", "output_derivatives", "dynamics", "velocity", "constraint_violation", "constraint_scale",
+        "energy", "drawing", "constraint_partials",
     ):  # fmt: skip
-        calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
+        calls.add(function, getattr(kernel, function), **state, **values, may_be_nan=True)
+    calls.add("momentum", model.momentum, **state, **values, may_be_nan=True)
     calls.add("jvp", model.jvp, **state, dx=np.ones(model.n_x), dp=np.ones(model.n_p), dr=np.ones(model.n_r), **values)
     calls.add("vjp", model.vjp, **state, weights=np.ones(model.n_x), **values)
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))
@@ -213,11 +210,13 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(function, getattr(model, function), **state, p=p)
     for function in ("position", "invariant_correction", "position_constraints", "positions", "constraint_jacobian"):
         raw = function in {"position", "invariant_correction"}
-        calls.add(function, getattr(model, function), t=0.3, q=x0[: model.n_q], **values, may_be_nan=raw)
-    acceleration, multipliers = model.accelerations(0.3, x0)
+        calls.add(
+            function, getattr(kernel if raw else model, function), t=0.3, q=x0[: model.n_q], **values, may_be_nan=raw
+        )
+    acceleration, multipliers = kernel.accelerations(0.3, x0)
     change = x0[model.n_q :]
-    calls.add("motion", model.motion, **state, accelerations=acceleration, **values, may_be_nan=True)
-    calls.add("coordinate_change", model.coordinate_change, **state, change=change, **values, may_be_nan=True)
+    calls.add("motion", kernel.motion, **state, accelerations=acceleration, **values, may_be_nan=True)
+    calls.add("coordinate_change", kernel.coordinate_change, **state, change=change, **values, may_be_nan=True)
     held = {"accelerations": acceleration, "multipliers": multipliers}
     for function in (
         "outputs_for",
@@ -226,14 +225,14 @@ def calls_of(name: str) -> dict[str, Call]:
         "state_rates_for",
         "state_rate_partials",
     ):
-        calls.add(function, getattr(model, function), **state, **held, **values, may_be_nan=True)
+        calls.add(function, getattr(kernel, function), **state, **held, **values, may_be_nan=True)
     forces = multipliers[model.n_c :]
-    calls.add("unknown_forces", model.unknown_forces, **state, forces=forces, **values, may_be_nan=True)
-    calls.add("default_inputs", model.default_inputs, t=0.3, p=p, may_be_nan=True)
-    calls.add("parameter_vector", model.parameter_vector, p=p)
+    calls.add("unknown_forces", kernel.unknown_forces, **state, forces=forces, **values, may_be_nan=True)
+    calls.add("default_inputs", kernel.default_inputs, t=0.3, p=p, may_be_nan=True)
+    calls.add("parameter_vector", kernel.parameter_vector, p=p)
     states, inputs = np.tile(x0[:, np.newaxis], 3), np.tile(r[:, np.newaxis], 3)
     for function in ("along", "drawing_along"):
-        along = getattr(model, function)
+        along = getattr(kernel, function)
         calls.add(function, along, times=np.linspace(0.0, 1.0, 3), states=states, inputs=inputs, p=p, may_be_nan=True)
     batch = {"t": np.linspace(0.0, 1.0, 3), "x": states, "p": np.tile(p[:, np.newaxis], 3), "r": inputs}
     calls.add("rhs_batch", model.rhs_batch, **batch, workers=2, may_be_nan=True)
@@ -262,6 +261,7 @@ def calls_of(name: str) -> dict[str, Call]:
     guess = x0[1 : model.n_q]
     bounds = {model.coordinates[-1]: (-4.0, 4.0)}
     calls.add("initial_state", model.initial_state, **start, guess=guess, bounds=bounds, **given, share=0.3)
+    calls.add("initial_state_derivatives", model.initial_state_derivatives, **start, guess=guess, **given, share=0.3)
     calls.add("initial_states", model.initial_states, **start, **given, may_be_nan=True, share=0.3)
     along = {"drive": {first: x0[0] + np.array([0.0, 0.1])}, "rates": {first: 1.0}, "accelerations": {first: 0.0}}
     calls.add("kinematics", model.kinematics, **along, parameters=p, t=0.0, may_be_nan=True, share=0.05)
@@ -323,6 +323,11 @@ def calls_of(name: str) -> dict[str, Call]:
     page = {"t_span": (0.0, 0.1), "x0": x0, "ranges": {"k": (1.0, 2.0)}, "traces": ["P2"], "watch": [("range", "q1")]}
     calls.add("page", model.page, **page, parameters={"k": 100.0}, inputs={"F": 0.0}, height=500, share=0.05)
     calls.add("trajectory.plot_paths", trajectory.plot_paths, points=[model.points[0]], share=0.02)
+    calls.add("trajectory", model.trajectory, t=times, x=states, parameters=p, inputs=sources, share=0.3)
+    calls.add(
+        "runner", lambda t_span, rtol, **given: model.runner(t_span, rtol=rtol)(**given), t_span=(0.0, 0.05), rtol=1e-6,
+        x0=x0, parameters=p, inputs=sources, share=0.3,
+    )  # fmt: skip
     calls.add("load_trajectory", fb.load_trajectory, path=saved, model=model, share=0.5)
     several = model.ensemble((0.0, 0.1), np.tile(x0, (2, 1)))
     calls.add("ensemble.plot", several.plot, names=[model.states[0]], share=0.02)

@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 import fourbar_codegen as fb
-from fourbar_codegen.roles import METHODS, STIFF
+from fourbar_codegen.runtime.enumerations import METHODS, STIFF
 from harness.programs import compile_c
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")

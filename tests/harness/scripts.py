@@ -3,8 +3,9 @@
 import sys
 from pathlib import Path
 
-from fourbar_codegen.presentation import live_page, report
-from fourbar_codegen.presentation.html_page import html_file
+from fourbar_codegen.page import live_page
+from fourbar_codegen.views import report
+from fourbar_codegen.views.html_page import html_file
 
 
 def main(folder):

@@ -17,7 +17,7 @@ from harness.archives import arrays_of
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli import main
-from fourbar_codegen.presentation import storage
+from fourbar_codegen.files.formats import nc
 
 
 def run(*arguments):
@@ -407,7 +407,7 @@ def test_commands_whose_files_need_missing_packages_end_before_anything_runs(
     if "need" in sentence:
         for name in ("xarray", "matplotlib.figure", "matplotlib.animation"):
             monkeypatch.setitem(sys.modules, name, None)
-        monkeypatch.setattr(storage, "find_spec", lambda name: None if name == "xarray" else name)
+        monkeypatch.setattr(nc, "find_spec", lambda name: None if name == "xarray" else name)
     command, *rest = arguments
 
     def runs(*_, **__):

@@ -87,7 +87,10 @@ def test_types_of_a_users_file_are_known_to_mypy(tmp_path):
     environment = {**os.environ, "MYPYPATH": "" if "site-packages" in place else place}
     done = subprocess.run([*command, sys.executable, str(path)], capture_output=True, text=True, env=environment)
     revealed = re.findall(r'Revealed type is "(.*?)"', done.stdout)
-    assert revealed[:2] == ["fourbar_codegen.compiled.CompiledModel", "fourbar_codegen.results.trajectory.Trajectory"]
+    assert revealed[:2] == [
+        "fourbar_codegen.compiled_model.CompiledModel",
+        "fourbar_codegen.results.trajectory.Trajectory",
+    ]
     assert all(text.startswith("numpy.ndarray") for text in revealed[2:])
     assert len(revealed) == 4
     assert 'Unexpected keyword argument "tolerance"' in done.stdout
@@ -103,7 +106,7 @@ def test_output_of_info_on_a_terminal_has_no_colours(environment):
 def test_animation_saved_on_a_terminal_shows_its_progress_in_frames(tmp_path):
     """On a terminal, up to all frames; not a word elsewhere. Without patience, however fast they are drawn."""
     code = (
-        "import fourbar_codegen as fb; from fourbar_codegen.presentation import figures; figures.QUIET_SECONDS = 0.0\n"
+        "import fourbar_codegen as fb; from fourbar_codegen.views import figures; figures.QUIET_SECONDS = 0.0\n"
         f"fb.load('four_bar').simulate((0.0, 1.0)).save({str(tmp_path / 'run.gif')!r})"
     )
     frames = [int(number) for number in re.findall(r"(\d+)/31 ", on_terminal("-c", code))]

@@ -176,7 +176,7 @@ def test_ensemble_saved_to_files_has_the_states_of_its_members(ensemble, tmp_pat
         assert dataset.attrs["model"] == "four_bar"
         assert dataset["message"].values[0] == ensemble.messages[0]
     assert ensemble.save(tmp_path / "runs.png").stat().st_size > 10_000
-    with pytest.raises(fb.ModelError, match=r"An ensemble is saved as \.csv, \.npz, \.nc, \.png"):
+    with pytest.raises(fb.ModelError, match=r"An ensemble is saved as \.csv, \.nc, \.npz, \.png"):
         ensemble.save(tmp_path / "runs.gif")
     with pytest.raises(fb.ModelError, match="no trajectory"):
         fb.load_trajectory(tmp_path / "runs.npz")

@@ -10,8 +10,8 @@ from builders.linkages import inverted_slider_crank
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.presentation.drawing import drawing
-from fourbar_codegen.presentation.scene import scene
+from fourbar_codegen.views.frames import drawing
+from fourbar_codegen.views.scene import scene
 
 
 def scene_of(run, times=50):
@@ -207,8 +207,8 @@ def test_scene_of_a_run_with_an_open_loop_has_no_pin_there(four_bar):
 def test_scene_of_assembly_modes_has_the_links_of_a_run(four_bar):
     """Two modes, each with the links of the other pictures."""
     modes = four_bar.initial_states()
-    positions = np.stack([modes.model.drawing(0.0, x)[0] for x in modes.x], axis=2)
-    found = scene(modes.model, positions)
+    positions = np.stack([modes.model.kernel.drawing(0.0, x)[0] for x in modes.x], axis=2)
+    found = scene(modes.kernel, positions)
     assert len(drawn(found, "link")) == 3
     assert places(found, "ground") == {"P1", "P41"}
     assert len(modes.plot().axes) == len(modes)
@@ -274,7 +274,7 @@ def test_scene_of_a_hanging_body_shows_gravity_downwards_along_every_axis(down, 
     model = hanging(about.tolist(), down, offset)
     assert model.manifest["gravity"] == down
     run = model.simulate((0.0, 1.0))
-    drawn = scene(model, model.drawing_along(run.t, run.y, run.r, None)[0])
+    drawn = scene(model.kernel, model.kernel.drawing_along(run.t, run.y, run.r, None)[0])
     assert drawn.is_planar is (offset == 0.0)
     assert np.linalg.det(drawn.view.turn) == 1.0
     vertical = 1 if drawn.is_planar else 2

@@ -1,7 +1,6 @@
 """Imports go one way, and are quiet and light. ``python tests/project/test_imports.py`` draws the folders anew."""
 
 import ast
-import pickle
 import re
 import subprocess
 import sys
@@ -15,59 +14,53 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 TESTS = Path(__file__).parents[1]
 DRAWING = TESTS.parent / "docs" / "folders.svg"
 ROOT = {
-    "errors": "errors", "layout": "errors", "roles": "errors",
-    "arguments": "ground", "definitions": "ground", "files": "ground", "progress": "ground", "tables": "ground",
-    "compiled": "compiled", "solvers": "compiled", "fitting": "compiled", "differentiable": "compiled",
-    "compile": "compile", "export": "compile", "verify": "compile",
-    "__init__": "cli", "__main__": "cli",
+    "errors": "errors", "layout": "errors", "compiled_model": "compiled_model", "__init__": "all", "__main__": "cli",
 }  # fmt: skip
 """The layers of the files that are in no folder; that of the others is their folder."""
 
-ON = {
+CORE = {
     "errors": [],
     "runtime": ["errors"],
-    "ground": ["runtime"],
-    "expressions": ["ground"],
+    "interface": ["runtime"],
+    "expressions": ["interface"],
     "modeling": ["expressions"],
-    "models": ["modeling"],
-    "linkage": ["modeling"],
     "dynamics": ["modeling"],
     "lowering": ["dynamics"],
     "codegen": ["lowering"],
-    "building": ["ground"],
-    "kernel": ["building"],
+    "kernel": ["interface"],
+    "building": ["kernel"],
     "results": ["kernel"],
     "analysis": ["results"],
-    "simulation": ["analysis"],
-    "presentation": ["analysis"],
-    "compiled": ["simulation", "presentation"],
-    "compile": ["codegen", "compiled"],
-    "cli": ["compile", "models", "linkage"],
+    "solvers": ["kernel"],
+    "simulation": ["analysis", "solvers"],
+    "compiled_model": ["simulation", "building"],
+    "pipeline": ["codegen", "compiled_model"],
 }
 """What each layer stands on: it may import that, and what that stands on."""
 
+BESIDE = {
+    "models": ["modeling"],
+    "linkage": ["modeling"],
+    "views": ["results"],
+    "files": ["views", "compiled_model"],
+    "fitting": ["views", "compiled_model"],
+    "jax": ["compiled_model"],
+    "export": ["pipeline"],
+    "page": ["files", "export"],
+    "all": ["page", "export", "models", "linkage", "fitting", "jax"],
+    "cli": ["all"],
+}
+"""The packages beside the core, which imports none of them. `__init__` imports by name what is asked of it."""
+
+ON = CORE | BESIDE
+
 GENERATION = {"expressions", "modeling", "models", "linkage", "dynamics", "lowering", "codegen"}
-BOTH = {"compile", "cli"}
+BOTH = {"pipeline", "export", "cli", "all"}
 FILES = {
     ".".join(path.relative_to(PACKAGE).with_suffix("").parts): path
     for path in PACKAGE.rglob("*.py")
     if path.parent == PACKAGE or path.name != "__init__.py" or path.parent.name == "models"
 }
-DOORS = {
-    ("results.trajectory", "presentation.storage"),
-    ("results.trajectory", "presentation.figures"),
-    ("results.trajectory", "presentation.report"),
-    ("results.ensemble", "presentation.storage"),
-    ("results.ensemble", "presentation.figures"),
-    ("analysis.assembly_modes", "presentation.figures"),
-    ("results.kinematics", "presentation.figures"),
-    ("results.kinematics", "presentation.storage"),
-    ("modeling.model", "dynamics.formation"),
-    ("modeling.model", "dynamics.unknown_forces"),
-}
-"""What a result does with itself on request, imported in the function: `Trajectory.save`, `.plot`, and the like; and
-what a Model is asked that takes mechanics to tell: whether its velocity constraints keep the positions, and which of
-its loads auxiliary speeds bring out."""
 
 
 def layer(name):
@@ -81,48 +74,48 @@ def below(folder):
 
 
 def imports(path):
-    """The modules that a file imports, also by `importlib`, or names from them, and whether in a function."""
-    tree = ast.parse(path.read_text())
-    within = {id(node) for f in ast.walk(tree) if isinstance(f, ast.FunctionDef) for node in ast.walk(f)}
-    for node in ast.walk(tree):
+    """The modules that a file imports, or names from them: also in functions, by `importlib`, and for types."""
+    for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
-            yield from ((alias.name, id(node) in within) for alias in node.names)
+            yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f"{path.name} has a relative import"
-            yield from ((f"{node.module}.{alias.name}", id(node) in within) for alias in node.names)
+            yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and re.search(r"import_module$|^_imported$", ast.unparse(node.func)):
-            yield from ((name.value, True) for name in node.args[:1] if isinstance(name, ast.Constant))
+            yield from (name.value for name in node.args[:1] if isinstance(name, ast.Constant))
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "_Method":  # of CompiledModel
+            yield from (f"fourbar_codegen.{name.value}" for name in node.args if name.value)
 
 
 def own(name):
-    """The files of the package that one imports, or folders without a file of Python, and whether in a function."""
-    for module, within in imports(FILES[name]):
+    """The files of the package that one imports, or folders without a file of Python."""
+    for module in imports(FILES[name]):
         package, _, rest = module.partition(".")
         if package == "fourbar_codegen":
             parts = rest.split(".")
             found = (".".join(parts[:length]) for length in (len(parts), len(parts) - 1))
             folder = parts[0] if parts[0] in ON else "__init__"
-            yield next((file for file in found if file in FILES), folder), within
+            yield next((file for file in found if file in FILES), folder)
 
 
 def test_files_of_the_package_are_each_in_a_layer():
     for name in FILES:
         assert layer(name) in ON
     assert set(ROOT) == {name for name in FILES if "." not in name}
+    assert len(ROOT) <= 6
+    assert all(layer not in below(other) for layer in BESIDE for other in CORE)
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_of_every_layer_import_lower_layers_only(name):
-    for imported, within in own(name):
-        if not (within and (name, imported) in DOORS) and layer(name) != "cli":
-            assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
+    for imported in own(name):
+        assert layer(imported) in below(layer(name)), f"{name} imports {imported}"
 
 
 @pytest.mark.slow
 def test_files_of_the_package_import_each_other_without_cycles():
-    """Also within a folder, and counting imports in functions, but for what results do with themselves."""
-    edges = {name: {imported for imported, _ in own(name) if (name, imported) not in DOORS} for name in FILES}
-    del edges["__init__"]  # which imports what is asked of it
+    """Also within a folder, and counting imports in functions."""
+    edges = {name: {*own(name)} for name in FILES}
     while edges:
         ready = {name for name, on in edges.items() if not on & edges.keys()}
         assert ready, f"these import each other: {sorted(edges)}"
@@ -132,7 +125,7 @@ def test_files_of_the_package_import_each_other_without_cycles():
 def test_cython_files_of_the_runtime_import_errors_enumerations_and_types_alone():
     for path in [path for suffix in ("pyx", "pxd", "pyi") for path in PACKAGE.glob(f"runtime/*.{suffix}")]:
         imported = re.findall(r"^\s*from fourbar_codegen\.(\w+)", path.read_text(), flags=re.MULTILINE)
-        allowed = {"errors", "roles", "runtime", *(["layout"] if path.suffix == ".pyi" else [])}
+        allowed = {"errors", "runtime", *(["layout"] if path.suffix == ".pyi" else [])}
         assert set(imported) <= allowed, path.name
 
 
@@ -153,7 +146,7 @@ def test_headers_include_lower_folders_only():
 
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_files_of_each_half_import_its_libraries_only(name):
-    modules = {module.split(".")[0] for module, _ in imports(FILES[name])}
+    modules = {module.split(".")[0] for module in imports(FILES[name])}
     if layer(name) in GENERATION:
         assert "scipy" not in modules
     elif layer(name) not in BOTH:
@@ -168,15 +161,14 @@ def test_tests_and_their_helpers_import_no_test_module_even_inside_functions():
     assert [
         f"{path.relative_to(TESTS)} imports {module}"
         for path in sorted(TESTS.rglob("*.py"))
-        for module, _ in imports(path)
+        for module in imports(path)
         if f"{module}.".startswith(known)
     ] == []
 
 
 def edges_between_layers():
     """What each layer imports, but for what it reaches through others anyway."""
-    on = {name: {layer(b) for file in FILES if layer(file) == name for b, _ in own(file) if (file, b) not in DOORS}
-          - {name} for name in ON}  # fmt: skip
+    on = {name: {layer(b) for file in FILES if layer(file) == name for b in own(file)} - {name} for name in ON}
     on["runtime"].add("errors")  # its modules are compiled
 
     def reached(name):
@@ -206,11 +198,13 @@ def drawing():
                 "#e8f0fe"
                 if name in GENERATION
                 else "#eee"
-                if name in BOTH | {"errors", "ground", "runtime"}
+                if name in BOTH | {"errors", "interface", "runtime"}
                 else "#fef3e0"
             )
+            border = ' stroke-dasharray="4 3"' if name in BESIDE else ""
+            box = f'<rect x="{x:.0f}" y="{y}" width="{width}" height="28" rx="4" fill="{color}" stroke="#444"{border}/>'
             boxes += [
-                f'<rect x="{x:.0f}" y="{y}" width="{width}" height="28" rx="4" fill="{color}" stroke="#444"/>',
+                box,
                 f'<text x="{x + width / 2:.0f}" y="{y + 19}" text-anchor="middle">{labels[name]}</text>',
             ]
         for name in row:
@@ -260,17 +254,6 @@ def test_public_names_of_the_package_exist_and_others_raise():
         assert getattr(fourbar_codegen, name) is not None
     with pytest.raises(AttributeError, match="nonsense"):
         _ = fourbar_codegen.nonsense
-
-
-@pytest.mark.parametrize(
-    ("name", "of_class"),
-    [("compiled", "_restore"), ("trajectory", "Trajectory"), ("ensemble", "Ensemble"), ("model", "Parameter")],
-)
-def test_pickle_from_before_the_folders_is_refused_with_a_message(name, of_class):
-    # As protocol 0 has a function or class, and its call without arguments.
-    old = f"cfourbar_codegen.{name}\n{of_class}\n(tR.".encode()
-    with pytest.raises((fourbar_codegen.ModelError, ImportError), match=r"earlier version.*make it again"):
-        pickle.loads(old)
 
 
 if __name__ == "__main__":

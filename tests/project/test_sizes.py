@@ -9,8 +9,8 @@ import fourbar_codegen as fb
 PACKAGE = Path(fb.__file__).parent
 LONG = {"models.whipple_bicycle.whipple_bicycle"}
 """It is a page of a paper."""
-MANY = {"simulation.batch.residual"}
-"""With more than six arguments by position."""
+MANY = {"simulation.batch.residual", "simulation.batch.residual_batch", "simulation.batch.residual_jacobian_batch"}
+"""With more than six arguments by position, the kernel among them."""
 WIDE = {"fb_kernel"}
 """It is an interface: typed functions for the innermost loops, and the sizes that they need."""
 

@@ -14,7 +14,7 @@ from harness.c_library import Library
 from harness.programs import compile_c
 
 import fourbar_codegen as fb
-from fourbar_codegen.building.page_module import SOURCES, page_source
+from fourbar_codegen.page.webassembly import SOURCES, page_source
 
 Q0_PRINTED = [-0.5, -2.24641553739307, -1.49782726919522]
 U0_PRINTED = [-0.1, 0.0715829929380234, -0.0274688413154955]

@@ -16,9 +16,10 @@ from scipy.integrate import solve_ivp
 from tutorial import tutorial_four_bar
 
 import fourbar_codegen as fb
-from fourbar_codegen.compiled import CompiledModel
-from fourbar_codegen.kernel.kernel import _restore
-from fourbar_codegen.kernel.loading import load_file
+from fourbar_codegen.building.cached_models import restored
+from fourbar_codegen.building.loading import load_file
+from fourbar_codegen.compiled_model import CompiledModel
+from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.batch import width
 from fourbar_codegen.runtime.evaluator import versions
 
@@ -68,7 +69,7 @@ def compiled(request):
     model, side_by_side = MODELS[request.param]
     compiled = fb.compile_model(model())
     compiled.require_batch_functions()
-    assert (width(compiled) > 1) == side_by_side
+    assert (width(compiled.kernel) > 1) == side_by_side
     return compiled
 
 
@@ -94,7 +95,7 @@ def test_batch_of_random_states_equals_the_right_hand_side_of_each(compiled):
 def test_batch_and_ensemble_with_redundant_constraints_equal_single_states_and_runs():
     compiled = fb.compile_model(parallelogram())
     compiled.require_batch_functions()
-    assert width(compiled) > 1
+    assert width(compiled.kernel) > 1
     (angle,), (speed,) = compiled.coordinates[:1], compiled.speeds[:1]
     x = np.array([compiled.initial_state({angle: q}, {speed: 1.0}) for q in np.linspace(0.3, 1.4, 19)]).T
     opened = x.copy()
@@ -220,7 +221,7 @@ def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
     x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
     reference = np.array([four_bar.rhs(0.3, column) for column in x.T]).T
     for kernel in versions(load_file(four_bar.path).kernel):
-        model = CompiledModel(kernel, four_bar.layout)
+        model = CompiledModel(Kernel(kernel, four_bar.layout))
         np.testing.assert_allclose(model.rhs_batch(0.3, x), reference, rtol=1e-11, atol=1e-11)
 
 
@@ -472,7 +473,9 @@ def test_progress_bar_appears_on_a_terminal_only_in_long_runs_unless_switched_of
     assert on_terminal("-c", code.format(impatient, ", progress=False")).strip() == ""
     assert on_terminal("-c", code.format("", "")).strip() == ""
     # Members that run alone have the bar in common, and nothing without it.
-    alone = "import fourbar_codegen as fb, fourbar_codegen.progress\nfourbar_codegen.progress.QUIET_SECONDS = 0.0\n"
+    alone = (
+        "import fourbar_codegen as fb\nfrom fourbar_codegen.interface import progress\nprogress.QUIET_SECONDS = 0.0\n"
+    )
     alone += "fb.load('four_bar').ensemble((0.0, 200.0), parameters={'l1': 0.9, 'k': 0.0, 'c': 0.0}, "
     alone += "inputs={'F': lambda t, x: 0.0}, progress=False)"
     assert on_terminal("-c", alone).strip() == ""
@@ -504,18 +507,18 @@ def test_ensemble_on_dask_equals_the_one_on_threads(four_bar):
     np.testing.assert_array_equal(ensemble.y, reference.y)
 
 
-def restored(arguments):
-    return str(_restore(*arguments).path)
+def path_of_restored(arguments):
+    return str(restored(*arguments).path)
 
 
 @pytest.mark.slow
 def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_path, monkeypatch):
     """Processes that do not find the module share one build in their node's cache."""
     model = fb.compile_model(fb.models.cartesian_pendulum())
-    _, (kind, _, layout, sources, *more) = model.__reduce__()
+    _, (_, layout, sources, *more) = model.kernel.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path))
     with multiprocessing.get_context("spawn").Pool(3) as pool:
-        paths = pool.map(restored, [(kind, str(tmp_path / "elsewhere.so"), layout, sources, *more)] * 3)
+        paths = pool.map(path_of_restored, [(str(tmp_path / "elsewhere.so"), layout, sources, *more)] * 3)
     assert len(set(paths)) == 1
     assert paths[0].startswith(str(tmp_path))
     folders = {path.name.rpartition("-")[0] for path in tmp_path.iterdir() if path.is_dir()}
@@ -527,12 +530,12 @@ def test_workers_that_do_not_find_the_module_build_it_once_in_their_cache(tmp_pa
 @pytest.mark.slow
 def test_model_restored_where_another_has_its_path_is_rebuilt_or_refused(tmp_path, monkeypatch, unoptimized):
     model = fb.load(fb.build_model(fb.models.cartesian_pendulum(), tmp_path / "here"))
-    _, (kind, _, layout, sources, *more) = model.__reduce__()
+    _, (_, layout, sources, *more) = model.kernel.__reduce__()
     monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
     other = str(fb.load("four_bar").path)
-    assert _restore(kind, other, layout, sources, *more).coordinates == model.coordinates
+    assert restored(other, layout, sources, *more).coordinates == model.coordinates
     with pytest.raises(fb.ModelError, match="only a different one of its name"):
-        _restore(kind, other, layout, None, *more)
+        restored(other, layout, None, *more)
 
 
 def test_the_shape_of_initial_states_is_named_as_it_is_given(four_bar):

@@ -112,8 +112,8 @@ def test_states_at_steps_samples_and_between_them_satisfy_the_constraints(case, 
         # Of the end of a step, the interpolant is another approximation by rounding errors, and is projected itself.
         np.testing.assert_allclose(stepped.sol(times), sampled.y, rtol=0, atol=1e-12 * np.abs(sampled.y).max())
     for t, x in states:
-        positions, velocities = compiled.constraint_violation(t, x)
-        jacobian, _ = compiled.velocity(t, x)
+        positions, velocities = compiled.kernel.constraint_violation(t, x)
+        jacobian, _ = compiled.kernel.velocity(t, x)
         # Rounding errors of a few dozen operations on coordinates and speeds.
         size = np.abs(jacobian).max(initial=0.0) * np.abs(x).max()
         assert np.abs(positions).max(initial=0.0) <= 1e-12 * size
@@ -637,7 +637,7 @@ def test_stepper_holds_inputs_and_keeps_loops_closed(four_bar):
     forces = np.repeat(np.random.default_rng(2).normal(scale=50.0, size=20), 50)
     states = np.array([stepper.step([force] if i % 2 else {"F": force}) for i, force in enumerate(forces)])
     for t, x in zip(1e-3 * np.arange(1, 1001), states, strict=True):
-        positions, velocities = four_bar.constraint_violation(t, x)
+        positions, velocities = four_bar.kernel.constraint_violation(t, x)
         # 1e-13 of coordinates of 3 rad, of speeds of 10 rad/s.
         assert np.abs(positions).max() < 1e-12
         assert np.abs(velocities).max() < 1e-11
@@ -697,7 +697,7 @@ def test_stepper_takes_inputs_that_a_step_does_not_name_from_their_sources():
         stepper = model.stepper(period / more, x0, inputs={"f": 0.0})
         for force in np.repeat(forces, more):
             x = stepper.step({"f": force})
-            positions, velocities = model.constraint_violation(stepper.t, x)
+            positions, velocities = model.kernel.constraint_violation(stepper.t, x)
             assert max(np.abs(positions).max(), np.abs(velocities).max()) < 1e-12
         errors.append(abs(x[0] - np.sin(3.0 * stepper.t) / 5.0 - 0.5 * np.sin(state[0])))
     assert errors[1] < 1e-7

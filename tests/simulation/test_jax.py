@@ -30,7 +30,7 @@ def test_to_jax_in_single_precision_is_refused(four_bar):
 @pytest.mark.slow
 def test_jax_derivatives_of_the_rates_equal_the_compiled_ones_in_both_modes(four_bar):
     rhs, x = fb.to_jax(four_bar).rhs, four_bar.initial_state()
-    p, r = np.array([*four_bar.defaults.values()]), four_bar.default_inputs(0.0)
+    p, r = np.array([*four_bar.defaults.values()]), four_bar.kernel.default_inputs(0.0)
     for mode in (jax.jacfwd, jax.jacrev):
         found = mode(rhs, argnums=(1, 2, 3))(0.0, x, p, r)
         np.testing.assert_array_equal(found[0], four_bar.jacobian(0.0, x, p, r))

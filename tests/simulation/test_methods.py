@@ -1,5 +1,6 @@
 """One set of promises, kept by every method of `simulate`."""
 
+import dataclasses
 from importlib import import_module
 
 import numpy as np
@@ -431,3 +432,49 @@ def test_error_of_ida_in_a_fall_stays_within_the_tolerance_times_the_growth():
     run = bicycle.simulate((0.0, 2.5), x0, method="IDA")
     assert run.success
     assert np.abs(run.y[:, -1] - reference.y[:, -1]).max() < 1e-6 * growth
+
+
+OPTIONS = {"rtol": 1e-5, "atol": 1e-7, "max_step": 0.05, "max_steps": 500, "formulation": "index-1", "step": 0.01}
+
+
+@pytest.mark.parametrize("name", ["DOP853", "RK45", "Tsit5", "Radau", "ALI3P", "CVODE", "IDA"])
+def test_method_as_an_object_gives_the_run_of_its_name_and_the_same_options(four_bar, name):
+    kind = getattr(fb, name)
+    own = {field.name: OPTIONS[field.name] for field in dataclasses.fields(kind)}
+    flat = {"max_step" if option == "step" else option: value for option, value in own.items()}
+    found, expected = (
+        four_bar.simulate((0.0, 1.0), **how) for how in ({"method": kind(**own)}, {"method": name} | flat)
+    )
+    assert found.settings == expected.settings
+    np.testing.assert_array_equal(found.y, expected.y)
+    for option, value in own.items():
+        place = "max_step" if option == "step" else option
+        with pytest.raises(fb.ModelError, match=f"The {option} of {name} is given twice, as {name}"):
+            four_bar.simulate((0.0, 1.0), method=kind(**own), **{place: value})
+
+
+def test_method_has_no_options_of_others():
+    for name, option in (("DOP853", "formulation"), ("RK45", "step"), ("ALI3P", "rtol"), ("Radau", "formulation")):
+        with pytest.raises(TypeError, match=option):
+            getattr(fb, name)(**{option: OPTIONS[option]})
+
+
+def test_class_of_a_method_stands_for_its_defaults(four_bar):
+    run = four_bar.simulate((0.0, 1.0), method=fb.Tsit5)
+    np.testing.assert_array_equal(run.y, four_bar.simulate((0.0, 1.0), method="Tsit5").y)
+
+
+def test_ensembles_fits_and_jax_take_methods_as_objects(four_bar):
+    times = np.linspace(0.0, 1.0, 11)
+    named = four_bar.ensemble((0.0, 1.0), method="RK45", rtol=1e-5)
+    np.testing.assert_array_equal(four_bar.ensemble((0.0, 1.0), method=fb.RK45(rtol=1e-5)).y, named.y)
+    measured = {"t": times, "q1": four_bar.simulate((0.0, 1.0), t_eval=times, parameters={"k": 3.0})["q1"]}
+    fit = fb.fit(four_bar, measured, ["k"], method=fb.RK45(rtol=1e-9))
+    assert fit.values["k"] == pytest.approx(3.0, rel=1e-3)
+    assert fit.runs[0].settings["rtol"] == 1e-9
+    assert fb.fit(four_bar, measured, ["k"], method=fb.RK45()).runs[0].settings["rtol"] == 1e-8
+
+
+def test_methods_that_ensembles_do_not_have_are_refused_as_objects_too(four_bar):
+    with pytest.raises(fb.ModelError, match="no method for ensembles 'IDA'"):
+        four_bar.ensemble((0.0, 1.0), method=fb.IDA())

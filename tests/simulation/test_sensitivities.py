@@ -124,7 +124,7 @@ def test_sensitivities_of_projected_runs_equal_differences_and_are_tangent(case)
             if name in model.parameters:
                 directions[model.n_x + model.parameters.index(name), k] = 1.0
         size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(x).max())
-        for left in model.constraint_jvp(t, x, directions):
+        for left in model.kernel.constraint_jvp(t, x, directions):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
@@ -137,11 +137,13 @@ def test_sensitivities_at_samples_at_every_tolerance_are_tangent_to_constraints(
     how = {"t_eval": np.linspace(0.0, AT[-1], 51), "rtol": rtol, "atol": 1e-2 * rtol}
     run = model.simulate((0.0, AT[-1]), x0, sensitivities=names, **how)
     assert run.success
-    directions = np.concatenate((np.zeros((model.n_x, len(names))), directions_of(model, names).matrix[model.n_x :]))
+    directions = np.concatenate(
+        (np.zeros((model.n_x, len(names))), directions_of(model.kernel, names).matrix[model.n_x :])
+    )
     for place, t in enumerate(run.t):
         directions[: model.n_x] = np.array([run.sensitivity[name][:, place] for name in names]).T
         size = np.abs(directions).max(initial=1.0) * max(1.0, np.abs(run.y[:, place]).max())
-        for left in model.constraint_jvp(t, run.y[:, place], directions):
+        for left in model.kernel.constraint_jvp(t, run.y[:, place], directions):
             assert np.abs(left).max(initial=0.0) <= 1e-11 * size
 
 
@@ -152,9 +154,9 @@ def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(
     """
     model, coordinates, speeds, names = case
     given = start(model, coordinates, speeds)
-    directions, p = directions_of(model, names), model.parameter_vector(given["parameters"])
+    directions, p = directions_of(model.kernel, names), model.kernel.parameter_vector(given["parameters"])
     x0 = model.initial_state(**given)
-    matrix = implicit_derivatives(model, 0.0, x0, directions, p, None)
+    matrix = implicit_derivatives(model.kernel, 0.0, x0, directions, p, None)
     n_qi = model.n_q - model.manifest["n_dependent_coordinates"]
     for k, name in enumerate(names):
         change = 1e-2 * (value_of(model, name, coordinates, speeds) or 1.0)
@@ -162,7 +164,7 @@ def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(
         predicted = np.concatenate((x0, p)) + matrix[:, k] * change
         x, p_there = predicted[: model.n_x], predicted[model.n_x :]
         wanted, by = model.initial_state(**changed, guess=x[n_qi : model.n_q], derivatives=True)
-        found, followed = corrected(model, 0.0, x, directions, p_there, None)
+        found, followed = corrected(model.kernel, 0.0, x, directions, p_there, None)
         np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-12 * np.abs(wanted).max())
         expected = np.array([by[own] for own in names]).T
         # The matrices are those before the last step, of up to 1e-10.
@@ -173,12 +175,12 @@ def test_initial_states_of_changed_values_corrected_from_predictions_are_closed(
 def test_states_of_changed_values_near_singular_positions_are_not_predicted(four_bar):
     """Where coupler and rocker cover each other, the crank can go no further, and their motion does not
     implicit_derivatives."""
-    p = four_bar.parameter_vector({"l4": 0.6})
+    p = four_bar.kernel.parameter_vector({"l4": 0.6})
     ground, crank, coupler, rocker = (dict(zip(four_bar.parameters, p, strict=True))[f"l{i}"] for i in (1, 2, 3, 4))
     limit = np.pi - np.arccos((ground**2 + crank**2 - (coupler - rocker) ** 2) / (2.0 * ground * crank))
     for before, is_regular in ((1e-8, False), (0.1, True)):
         for x in four_bar.initial_states({"q1": limit - before}, parameters=p).x:
-            found = corrected(four_bar, 0.0, x, directions_of(four_bar, ["l2"]), p, None)
+            found = corrected(four_bar.kernel, 0.0, x, directions_of(four_bar.kernel, ["l2"]), p, None)
             assert (found is not None) is is_regular
 
 

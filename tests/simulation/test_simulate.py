@@ -465,3 +465,76 @@ def test_velocities_and_accelerations_of_points_in_a_run_are_those_of_a_turning_
     # Twice evaluated accelerations differ by rounding errors, times the condition of the equations.
     np.testing.assert_allclose(run.accelerations["P"][:2], expected, rtol=1e-11, atol=1e-11)
     assert list(run.velocities) == list(run.accelerations) == list(slider_crank.points)
+
+
+@pytest.mark.parametrize("method", ["DOP853", "Radau", "ALI3P"])
+def test_runner_gives_the_runs_of_simulate_to_the_bit(four_bar, method):
+    how = {"method": fb.ALI3P(step=1e-2) if method == "ALI3P" else method, "t_eval": [0.0, 0.5, 1.0], "events": "u1"}
+    run = four_bar.runner((0.0, 1.0), **how)
+    for k in (50.0, 100.0):
+        x0 = four_bar.initial_state({"q1": -0.6}, parameters={"k": k})
+        found = run(x0, parameters={"k": k}, inputs={"F": 1.0})
+        expected = four_bar.simulate((0.0, 1.0), x0, parameters={"k": k}, inputs={"F": 1.0}, **how)
+        np.testing.assert_array_equal(found.y, expected.y)
+        np.testing.assert_array_equal(found.t_events[0], expected.t_events[0])
+        assert found.settings == expected.settings
+    np.testing.assert_array_equal(run().y, four_bar.simulate((0.0, 1.0), **how).y)
+
+
+def test_runner_refuses_wrong_options_when_it_is_made_and_wrong_starts_when_called(four_bar):
+    with pytest.raises(fb.ModelError, match="rtol must be"):
+        four_bar.runner((0.0, 1.0), rtol=-1.0)
+    run = four_bar.runner((0.0, 1.0), sensitivities=["k"])
+    assert run(parameters={"k": 3.0}).sensitivity["k"].shape[0] == 6
+    with pytest.raises(fb.ModelError, match="'kk'"):
+        run(parameters={"kk": 3.0})
+
+
+def test_trajectory_of_the_closed_forms_states_has_its_energy_and_forces():
+    """A pendulum that falls from rest at the horizontal has u^2 = 2 g sin(a) and a tension of 3 m g sin(a)."""
+    pendulum = fb.compile_model(fb.models.cartesian_pendulum())
+    angle = np.linspace(0.0, np.pi / 2, 20)
+    sine, cosine = np.sin(angle), np.cos(angle)
+    speed = np.sqrt(2.0 * 9.81 * sine)
+    states = {"x": cosine, "y": -sine, "v_x": -speed * sine, "v_y": -speed * cosine}
+    run = pendulum.trajectory(0.1 * angle, states)
+    np.testing.assert_allclose(run.energy, 0.0, atol=1e-14)
+    np.testing.assert_allclose(run.constraint_residual, 0.0, atol=1e-15)
+    # lambda of x^2 + y^2 - 1 = 0: half of the tension, towards the support.
+    np.testing.assert_allclose(run.multipliers[0], -1.5 * 9.81 * sine, atol=1e-13)
+
+
+def test_trajectory_of_a_control_loop_is_that_of_the_run_with_what_was_held(four_bar, tmp_path):
+    """A stepper with forces that a controller holds, and a run with these forces as a table, are the same motion."""
+    stepper = four_bar.stepper(1e-3)
+    times, states, forces = [0.0], [stepper.x.copy()], []
+    for _ in range(500):
+        forces.append(-20.0 * stepper.x[3])
+        states.append(stepper.step({"F": forces[-1]}))
+        times.append(stepper.t)
+    held = {"F": (np.array(times), np.array([*forces, forces[-1]]), "hold")}
+    run = four_bar.trajectory(times, np.transpose(states), inputs=held)
+    exact = four_bar.simulate((0.0, times[-1]), inputs=held, t_eval=times, rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(run.y, exact.y, atol=1e-9)  # RK4 with 500 steps: (1e-3)^4 times a derivative of some 1e3
+    np.testing.assert_allclose(run["energy"], exact["energy"], rtol=1e-8)
+    np.testing.assert_array_equal(run["F"], exact["F"])
+    back = fb.load_trajectory(run.save(tmp_path / "loop.npz"))
+    np.testing.assert_array_equal(back.y, run.y)
+    assert run.save(tmp_path / "loop.html").stat().st_size > 10_000
+    np.testing.assert_allclose(run.resample([0.2505]).y, exact.resample([0.2505]).y, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("t", "x", "words"),
+    [
+        ([0.0, 1.0], np.zeros((6, 3)), "shape"),
+        ([0.0, 1.0, 0.5], np.zeros((6, 3)), "one direction"),
+        ([0.0, np.nan], np.zeros((6, 2)), "finite"),
+        ([0.0, 1.0], np.full((6, 2), np.inf), "finite"),
+        ([], np.zeros((6, 0)), "n_t > 0"),
+        ([0.0, 1.0], {"q1": [0.0, 1.0]}, "No value for state q2"),
+    ],
+)
+def test_trajectory_of_wrong_times_or_states_is_refused(four_bar, t, x, words):
+    with pytest.raises(fb.ModelError, match=words):
+        four_bar.trajectory(t, x)

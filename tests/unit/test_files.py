@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import fourbar_codegen as fb
-from fourbar_codegen import files
 from fourbar_codegen.building import toolchain
+from fourbar_codegen.interface import paths
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_file_that_is_replaced_keeps_its_mode(runs, tmp_path):
         path = tmp_path / f"{mode:o}.csv"
         path.touch()
         path.chmod(mode)
-        with files.replacing(path) as file:
+        with paths.replacing(path) as file:
             (part,) = (other for other in tmp_path.iterdir() if other.name.startswith("."))
             assert mode_of(part) & ~mode == 0  # nor may others read it before it is there
             file.write(b"new")
@@ -96,7 +96,7 @@ def test_paths_that_are_no_regular_files_are_refused_and_stay(runs, tmp_path, mo
     (tmp_path / "loop.csv").symlink_to("loop.csv")
     (tmp_path / "null.csv").symlink_to("/dev/null")
     (tmp_path / "protected.csv").write_text("old")
-    monkeypatch.setattr(files.os, "access", lambda path, mode: Path(path).name != "protected.csv")  # root may write all
+    monkeypatch.setattr(paths.os, "access", lambda path, mode: Path(path).name != "protected.csv")  # root may write all
     before = {path: path.lstat() for path in tmp_path.iterdir()}
     for path, word in zip(
         sorted(before), ("Is a directory", "Too many levels", "a device", "a device", "write-protected"), strict=True
@@ -115,8 +115,8 @@ def test_file_with_the_longest_name_of_the_system_is_written(runs, tmp_path):
 def test_file_is_synced_to_the_disk_before_it_replaces_the_old_one(tmp_path, monkeypatch):
     path = tmp_path / "run.csv"
     synced = []
-    monkeypatch.setattr(files.os, "fsync", lambda file: synced.append((os.fstat(file).st_size, path.exists())))
-    with files.replacing(path) as file:
+    monkeypatch.setattr(paths.os, "fsync", lambda file: synced.append((os.fstat(file).st_size, path.exists())))
+    with paths.replacing(path) as file:
         file.write(b"new")
     assert synced == [(3, False)]
 

@@ -200,7 +200,7 @@ def test_constraints_that_are_not_finite_are_refused(copies):
     compiled = fb.compile_model(fb.Model(system, name="divided", parameters={d: 1.0}))
     x = np.zeros(compiled.n_x)
     assert np.isfinite(compiled.rhs(0.0, x)).all()
-    for function in (compiled.rhs, compiled.accelerations, compiled.jacobian):
+    for function in (compiled.rhs, compiled.kernel.accelerations, compiled.jacobian):
         with pytest.raises(fb.SimulationError):
             function(0.0, x, {"d": 0.0})
 

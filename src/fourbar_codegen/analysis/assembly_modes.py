@@ -16,7 +16,6 @@ modes.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
@@ -27,17 +26,12 @@ from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.groups import DISTINCT_ATOL, ROUNDING_RTOL, Chart, Group, Solved, solving_order
 from fourbar_codegen.analysis.loop_closure import MAX_CORRECTIONS, SINGULAR_RATIO, Loops
 from fourbar_codegen.analysis.polynomials import terms_of
-from fourbar_codegen.arguments import is_integer
-from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.dependent import SINGULAR_RTOL, row_sizes
-from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from fourbar_codegen.interface.progress import Progress
 
-    from fourbar_codegen.progress import Progress
-
-__all__ = ["AssemblyModes", "closed_coordinates"]
+__all__ = ["closed_coordinates"]
 
 Floats = NDArray[np.float64]
 
@@ -55,110 +49,6 @@ MAX_STARTING_POINTS = 3000
 STEPS = (0.05, 0.2)
 """Steps along a null vector of the Jacobian, in rad or typical displacements, at which a curve of solutions has points.
 At the larger one even a root of multiplicity 16 violates its constraint by more than ROUNDING_RTOL."""
-
-
-@dataclass(frozen=True, eq=False)
-class AssemblyModes:
-    """All states for the same independent coordinates and speeds.
-
-    Returned by `CompiledModel.initial_states`. A sequence of states, sorted by their dependent coordinates, with angles
-    between -pi and pi.
-
-    Attributes
-    ----------
-    model : CompiledModel
-    t : float
-        Time, s.
-    x : ndarray, shape (n, n_x)
-        The states. Dependent speeds are NaN in a mode where they do not follow from the independent ones.
-    is_complete : bool
-        Whether there are no other modes. If False, their number is a lower bound.
-    parameters, inputs : ndarray or None
-        As given, in order.
-    free : tuple of str
-        The dependent coordinates that can move while the independent ones are held, in at least one of the modes; empty
-        if modes are isolated. Otherwise they are infinitely many, and `x` has examples, found until the first that can
-        move: isolated modes may be missing. Dependent speeds are NaN in those that can move.
-
-    Examples
-    --------
-    >>> import fourbar_codegen as fb
-    >>> modes = fb.load("four_bar").initial_states({"q1": -0.5}, {"u1": -0.1})
-    >>> modes
-    <AssemblyModes of four_bar: 2, and no others>
-    >>> modes[0].round(6).tolist()
-    [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
-    """
-
-    model: Kernel
-    t: float
-    x: Floats
-    is_complete: bool
-    parameters: Floats | None
-    inputs: Floats | None
-    free: tuple[str, ...] = ()
-
-    def __getitem__(self, number: int) -> Floats:
-        """The state of a mode, or of several, as NumPy selects rows."""
-        try:
-            if number is None or isinstance(number, bool | np.bool_):  # which would add a dimension
-                raise TypeError
-            state: Floats = self.x[number]
-        except (TypeError, ValueError, IndexError) as error:  # NumPy's, for ragged lists, text and fractions
-            if is_integer(number):
-                raise  # beyond the last one: the end of an iteration
-            raise ModelError(f"A mode is known by its number, below {len(self)}, not by {shown(number)}.") from error
-        return state
-
-    def __len__(self) -> int:
-        """The number of modes."""
-        return len(self.x)
-
-    def __iter__(self) -> Iterator[Floats]:
-        """The states of all modes."""
-        return iter(self.x)
-
-    def __repr__(self) -> str:
-        return f"<AssemblyModes of {self.model.name}: {self._number()}>"
-
-    def _number(self) -> str:
-        if not len(self):
-            return "the loops cannot be closed" if self.is_complete else "none found"
-        if self.free:
-            return f"{len(self)} of infinitely many; {self.freedom}"
-        return f"{len(self)}, and no others" if self.is_complete else f"at least {len(self)}"
-
-    @property
-    def freedom(self) -> str:
-        """The degree of freedom that is left, in words; empty if `free` is."""
-        if not self.free:
-            return ""
-        held = self.model.coordinates[: self.model.layout.n_independent_coordinates]
-        moving = f"{', '.join(self.free)} move{'s' if len(self.free) == 1 else ''}"
-        fixed = f"{', '.join(held) or 'nothing'} {'are' if len(held) > 1 else 'is'} held"
-        return f"a degree of freedom is left: {moving} while {fixed}"
-
-    def _repr_html_(self) -> str:
-        from fourbar_codegen.tables import table
-
-        rows = [(f"{i}", *(f"{value:.6g}" for value in x)) for i, x in enumerate(self.x)]
-        return table(f"Assembly modes of {self.model.name}: {self._number()}", ("mode", *self.model.states), rows)
-
-    def plot(self) -> Figure:
-        """Draw the mechanism in each of its modes, the first 24 of them; needs the extra ``visual``.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If there is nothing to draw, or Matplotlib is not installed.
-        """
-        from fourbar_codegen.presentation.figures import plot_modes
-
-        return plot_modes(self)
 
 
 def closed_coordinates(loops: Loops, start: Floats, progress: Progress) -> tuple[list[Floats], bool, tuple[str, ...]]:

@@ -14,10 +14,10 @@ from fourbar_codegen.analysis.continuation import null_space, solve_at, trace
 from fourbar_codegen.analysis.drive import Drive, read_drive
 from fourbar_codegen.analysis.loop_closure import Loops
 from fourbar_codegen.analysis.mode_counts import NO_COUNT, mode_counts
-from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import AssemblyError, ModelError
+from fourbar_codegen.interface.arguments import Values
+from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.progress import Progress
 from fourbar_codegen.results.kinematics import Branch, Kinematics
 
 __all__ = ["kinematics"]
@@ -65,15 +65,60 @@ SMOOTH_RTOL = 1e-6
 
 def kinematics(
     model: Kernel,
-    drive: Mapping[Any, Any],
-    rates: Mapping[Any, ArrayLike] | None,
-    accelerations: Mapping[Any, ArrayLike] | None,
+    drive: Mapping[Any, ArrayLike],
     *,
-    t: float,
-    parameters: Values | None,
-    inputs: Mapping[Any, float] | None,
+    rates: Mapping[Any, ArrayLike] | None = None,
+    accelerations: Mapping[Any, ArrayLike] | None = None,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, float] | None = None,
+    t: float = 0.0,
 ) -> Kinematics:
-    """Positions and motions along a drive; see `CompiledModel.kinematics`."""
+    """Positions, velocities and accelerations along a drive, in all ways in which the loops close.
+
+    Branches are continued by arc length, through the positions where the drive has to turn round: dead points,
+    which are also the limits of the range where the loops can close. They are found from the assembly modes at nine
+    places along the drive, and at those given values where there are more modes than branches, or where no branch
+    closes. Modes can be counted where loops are closed one or two constraints at a time; otherwise a branch may be
+    missed, and ``is_complete`` is False. Where branches cross, velocities are limits along them. Masses and forces
+    need no values.
+
+    Parameters
+    ----------
+    drive : mapping of coordinate or prescribed motion to array_like, shape (n,)
+        As many as the mechanism has degrees of freedom. Values of several are passed in their order.
+    rates, accelerations : mapping of coordinate or prescribed motion to float or array_like, shape (n,), optional
+        First and second derivatives of the driven quantities with respect to time; by default 1 and 0, so that
+        velocities are derivatives with respect to the drive.
+    parameters : array_like or mapping, optional
+    inputs : mapping of str to float, optional
+        Values of inputs that prescribe other motions, and of their rates.
+    t : float, optional
+        The time at which constraints are evaluated, s.
+
+    Returns
+    -------
+    Kinematics
+        A sequence of branches with the coordinates, points and their derivatives, and ``dead_points``.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong name or shape, or the drive leaves a degree of freedom.
+    AssemblyError
+        If the loops close nowhere along the drive.
+
+    Source: E. L. Allgower and K. Georg, *Introduction to Numerical Continuation Methods*, SIAM 2003.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> import numpy as np
+    >>> four_bar = fb.load("four_bar")
+    >>> lengths = {"l1": 0.8, "l2": 0.2, "l3": 0.7, "l4": 0.6}
+    >>> found = four_bar.kinematics({"q1": np.linspace(0.0, 2 * np.pi, 73)}, parameters=lengths)
+    >>> len(found), len(found.dead_points), bool(found.closes.all())
+    (2, 0, True)
+    """
     path = read_drive(model, drive, rates, accelerations, t=t, parameters=parameters, inputs=inputs)
     if (left := model.n_q - len(path.coordinates)) > model.n_h:
         raise ModelError(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import Loops, mechanism_size, row_scales
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import Values, finite_number, is_mapping, named, named_array, numbers
 from fourbar_codegen.kernel.dependent import solve_redundant
 from fourbar_codegen.kernel.kernel import Kernel
 

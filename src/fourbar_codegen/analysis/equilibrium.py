@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.loop_closure import Loops, mechanism_size, nearest_closed
-from fourbar_codegen.arguments import Values, finite_number, named_array
 from fourbar_codegen.errors import ModelError, SimulationError
+from fourbar_codegen.interface.arguments import Values, finite_number, flag, named_array
 from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["equilibrium", "stability_of"]
+__all__ = ["equilibrium"]
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,92 @@ MAX_FIRST_CORRECTION = 2.0 * np.pi
 ROUNDING_RTOL, EIGENVALUE_RTOL = 10.0 * np.finfo(float).eps, 1e-7
 
 
+@overload
 def equilibrium(
+    model: Kernel,
+    guess: Values | None = ...,
+    *,
+    t: float = ...,
+    parameters: Values | None = ...,
+    inputs: Mapping[Any, InputSource] | None = ...,
+    stability: Literal[False] = ...,
+) -> Floats: ...
+
+
+@overload
+def equilibrium(
+    model: Kernel,
+    guess: Values | None = ...,
+    *,
+    t: float = ...,
+    parameters: Values | None = ...,
+    inputs: Mapping[Any, InputSource] | None = ...,
+    stability: Literal[True],
+) -> tuple[Floats, str]: ...
+
+
+def equilibrium(
+    model: Kernel,
+    guess: Values | None = None,
+    *,
+    t: float = 0.0,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
+    stability: bool = False,
+) -> Floats | tuple[Floats, str]:
+    """An equilibrium: a state of rest in which all accelerations vanish.
+
+    SciPy's ``least_squares`` solves for constraints and accelerations, with compiled Jacobians, in steps that begin
+    with a radian at most, so that angles stay near the guess. If that ends where accelerations are only smallest,
+    the mechanism is followed from there as in a viscous medium, downhill along the loops' branch, to a stable
+    equilibrium. Otherwise it may be stable or unstable, which `stability` asks for.
+
+    Parameters
+    ----------
+    guess : array_like, shape (n_q,), or mapping, optional
+        Coordinates to start from; by default the model's initial values, or 0.
+    t : float, optional
+        Time, s, at which inputs are evaluated.
+    parameters : array_like or mapping, optional
+        The defaults otherwise.
+    inputs : mapping, optional
+        As for `simulate`, but no callables.
+    stability : bool, optional
+        Whether "stable", "unstable" or "neutral" is returned, too, by the eigenvalues of the linearized motion.
+
+    Returns
+    -------
+    ndarray, shape (n_x,)
+        The coordinates, and speeds of 0.
+    str
+        With `stability`: no motion nearby grows, a motion grows, or there are positions of equilibrium beside it.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite.
+    SimulationError
+        If no equilibrium was found. The message says where the search ended.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> x = four_bar.equilibrium(four_bar.initial_state()[:3], inputs={"F": 0.0})
+    >>> bool(abs(four_bar.rhs(0.0, x, r={"F": 0.0})).max() < 1e-9)
+    True
+    >>> pendulum = fb.compile_model(fb.models.cartesian_pendulum())
+    >>> upright, kind = pendulum.equilibrium([1.0, 0.0], stability=True)
+    >>> kind
+    'unstable'
+    """
+    x = _found(model, guess, t=t, parameters=parameters, inputs=inputs)
+    if not flag(stability, "stability"):
+        return x
+    return x, _stability_of(model, x, t=t, parameters=parameters, inputs=inputs)
+
+
+def _found(
     model: Kernel,
     guess: Values | None,
     *,
@@ -44,7 +129,7 @@ def equilibrium(
     parameters: Values | None,
     inputs: Mapping[Any, InputSource] | None,
 ) -> Floats:
-    """A state of static equilibrium; see `CompiledModel.equilibrium`."""
+    """A state of static equilibrium."""
     if not model.n_q:
         raise ModelError(f"The model {model.name} has no coordinates, so it has no equilibrium to search for.")
     if model.layout.n_independent_coordinates > model.n_u:
@@ -217,7 +302,7 @@ def _downhill(
     return np.concatenate((q, begin[n_q:]))
 
 
-def stability_of(
+def _stability_of(
     model: Kernel, x: Floats, *, t: float, parameters: Values | None, inputs: Mapping[Any, InputSource] | None
 ) -> str:
     """Whether an equilibrium is "stable", "unstable" or "neutral", by the eigenvalues of the linearized motion.

@@ -5,25 +5,24 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Literal, overload
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.analysis.loop_closure import SINGULAR_RATIO, Loops, nearest_closed
 from fourbar_codegen.analysis.staged_closing import OpenLoop, close_in_stages, turned_towards
-from fourbar_codegen.arguments import Values, is_mapping, name_of, named, named_array
 from fourbar_codegen.errors import AssemblyError, ModelError, ModelWarning, shown
+from fourbar_codegen.interface.arguments import Values, flag, is_mapping, name_of, named, named_array
+from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.kernel.dependent import INDEPENDENCE_RTOL, row_sizes, solve_dependent
 from fourbar_codegen.kernel.inputs import InputSource, inputs_at
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.progress import Progress
+from fourbar_codegen.kernel.sensitivity import initial_derivatives
+from fourbar_codegen.results.assembly_modes import AssemblyModes
 from fourbar_codegen.runtime.evaluator import numbers
 
-if TYPE_CHECKING:
-    from fourbar_codegen.analysis.assembly_modes import AssemblyModes
-
-__all__ = ["check_speeds", "initial_state", "initial_states", "nearby_state"]
+__all__ = ["check_speeds", "initial_state", "initial_state_derivatives", "initial_states", "nearby_state"]
 
 Floats = NDArray[np.float64]
 
@@ -52,7 +51,167 @@ AT_REST_ATOL = 1e-8
 """... which are zero up to this size, m/s or rad/s: at rest, the terms are rounding errors themselves."""
 
 
+@overload
 def initial_state(
+    model: Kernel,
+    coordinates: Values | None = ...,
+    speeds: Values | None = ...,
+    *,
+    t: float = ...,
+    guess: Values | None = ...,
+    bounds: Mapping[Any, tuple[float, float]] | None = ...,
+    parameters: Values | None = ...,
+    inputs: Mapping[Any, InputSource] | None = ...,
+    auxiliary_states: Values | None = ...,
+    derivatives: Literal[False] = ...,
+) -> Floats: ...
+
+
+@overload
+def initial_state(
+    model: Kernel,
+    coordinates: Values | None = ...,
+    speeds: Values | None = ...,
+    *,
+    t: float = ...,
+    guess: Values | None = ...,
+    bounds: Mapping[Any, tuple[float, float]] | None = ...,
+    parameters: Values | None = ...,
+    inputs: Mapping[Any, InputSource] | None = ...,
+    auxiliary_states: Values | None = ...,
+    derivatives: Literal[True],
+) -> tuple[Floats, dict[str, Floats]]: ...
+
+
+def initial_state(
+    model: Kernel,
+    coordinates: Values | None = None,
+    speeds: Values | None = None,
+    *,
+    t: float = 0.0,
+    guess: Values | None = None,
+    bounds: Mapping[Any, tuple[float, float]] | None = None,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
+    auxiliary_states: Values | None = None,
+    derivatives: bool = False,
+) -> Floats | tuple[Floats, dict[str, Floats]]:
+    """A state that satisfies all constraints, from the independent coordinates and speeds.
+
+    The position constraints are solved for the dependent coordinates: by Newton's method as long as each step at
+    least halves the residual, otherwise by SciPy's ``fsolve`` with the Jacobian, otherwise loop by loop with damped
+    least squares. The dependent speeds follow from the velocity constraints, which are linear in them.
+
+    Parameters
+    ----------
+    coordinates, speeds : array_like or mapping, optional
+        Values of the independent ones; by default the model's initial values.
+    t : float, optional
+        Time, s.
+    guess : array_like or mapping, optional
+        Starting values of the dependent coordinates; they decide which assembly mode is found. By default the
+        model's guess, or 0; if loops do not close from there, further guesses around it are tried, and the nearest
+        solution of each loop is taken.
+    bounds : mapping, optional
+        Ranges (low, high) of dependent coordinates, such as that of a knee; unbounded otherwise.
+    parameters : array_like or mapping, optional
+        The defaults otherwise.
+    inputs : mapping, optional
+        As for `simulate`; only those that prescribe a motion matter.
+    auxiliary_states : array_like or mapping, optional
+        Their values; by default the model's initial values.
+    derivatives : bool, optional
+        True is another spelling of `initial_state_derivatives`.
+
+    Returns
+    -------
+    ndarray, shape (n_x,)
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite; or if the state is the model's initial one, and
+        its values of dependent speeds violate the constraints.
+    AssemblyError
+        If the loops do not close, or the dependent speeds are not determined.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> x0 = fb.load("four_bar").initial_state({"q1": -0.5}, {"u1": -0.1}, guess=[-1.5, -1.5])
+    >>> x0.round(6).tolist()
+    [-0.5, -2.246416, -1.497827, -0.1, 0.071583, -0.027469]
+    """
+    find: Any = initial_state_derivatives if flag(derivatives, "derivatives") else _closed
+    found: Floats | tuple[Floats, dict[str, Floats]] = find(
+        model,
+        coordinates,
+        speeds,
+        t=t,
+        guess=guess,
+        bounds=bounds,
+        parameters=parameters,
+        inputs=inputs,
+        auxiliary_states=auxiliary_states,
+    )
+    return found
+
+
+def initial_state_derivatives(
+    model: Kernel,
+    coordinates: Values | None = None,
+    speeds: Values | None = None,
+    *,
+    t: float = 0.0,
+    guess: Values | None = None,
+    bounds: Mapping[Any, tuple[float, float]] | None = None,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
+    auxiliary_states: Values | None = None,
+) -> tuple[Floats, dict[str, Floats]]:
+    """A state that satisfies all constraints, and its derivatives, by the implicit function theorem.
+
+    Parameters
+    ----------
+    coordinates, speeds, t, guess, bounds, parameters, inputs, auxiliary_states
+        As for `initial_state`.
+
+    Returns
+    -------
+    ndarray, shape (n_x,)
+        As of `initial_state`.
+    dict of str to ndarray, shape (n_x,)
+        The derivatives of the state with respect to the independent values, the parameters and the given inputs, by
+        name; of the shape (n, n_x) for the n values of a table. Parameters are left out that redundant constraints do
+        not let change alone, such as one of the lengths of a parallelogram with a bar too many.
+
+    Raises
+    ------
+    ModelError, AssemblyError
+        As for `initial_state`; an AssemblyError also if the state has no derivatives, at a singular position.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> x0, by = fb.load("four_bar").initial_state_derivatives({"q1": -0.5}, {"u1": -0.1})
+    >>> by["l2"][1].round(4).item()  # dq2/dl2
+    -0.826
+    """
+    x0 = _closed(
+        model,
+        coordinates,
+        speeds,
+        t=t,
+        guess=guess,
+        bounds=bounds,
+        parameters=parameters,
+        inputs=inputs,
+        auxiliary_states=auxiliary_states,
+    )
+    return x0, initial_derivatives(model, t, x0, parameters, inputs)
+
+
+def _closed(
     model: Kernel,
     coordinates: Values | None = None,
     speeds: Values | None = None,
@@ -64,7 +223,7 @@ def initial_state(
     inputs: Mapping[Any, InputSource] | None,
     auxiliary_states: Values | None = None,
 ) -> Floats:
-    """A state that satisfies all constraints; see `CompiledModel.initial_state`."""
+    """A state that satisfies all constraints."""
     loops, u_i, start = _given(model, coordinates, speeds, t, guess, parameters=parameters, inputs=inputs)
     if coordinates is not None:
         _warn_of_degrees(model, loops.q_i)
@@ -156,16 +315,45 @@ def _state(
 
 def initial_states(
     model: Kernel,
-    coordinates: Values | None,
-    speeds: Values | None,
+    coordinates: Values | None = None,
+    speeds: Values | None = None,
     *,
-    t: float,
-    parameters: Values | None,
-    inputs: Mapping[Any, InputSource] | None,
+    t: float = 0.0,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
     auxiliary_states: Values | None = None,
 ) -> AssemblyModes:
-    """All states with these independent values; see `CompiledModel.initial_states`."""
-    from fourbar_codegen.analysis.assembly_modes import AssemblyModes, closed_coordinates
+    """All assembly modes: the states that satisfy the constraints for given independent coordinates and speeds.
+
+    The result is complete for chains of dyads: one or two constraints at a time, with no more unknown coordinates
+    than constraints, trigonometric in angles and polynomial in displacements. Examples are the four-bar linkage,
+    the slider-crank, and combinations of them. Otherwise multistart search is used, and the number of modes is a
+    lower bound. If a part can still move while the independent coordinates are held, the search ends, and ``free``
+    names the coordinates that move. See `fourbar_codegen.analysis.assembly_modes` for the method.
+
+    Parameters
+    ----------
+    coordinates, speeds, t, parameters, inputs, auxiliary_states
+        As for `initial_state`.
+
+    Returns
+    -------
+    AssemblyModes
+        A sequence of states, empty if the loops cannot be closed, with ``is_complete``, ``free`` and ``plot()``.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> modes = fb.load("four_bar").initial_states({"q1": -0.5})
+    >>> len(modes), modes.is_complete
+    (2, True)
+    """
+    from fourbar_codegen.analysis.assembly_modes import closed_coordinates
 
     loops, u_i, start = _given(model, coordinates, speeds, t, None, parameters=parameters, inputs=inputs)
     with Progress(f"{model.name}: ways to close the loops") as progress:

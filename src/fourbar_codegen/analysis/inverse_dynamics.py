@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Container, Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, NoReturn
@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed, row_scales
-from fourbar_codegen.arguments import Values, is_mapping, named, named_columns, names_of, numbers
 from fourbar_codegen.errors import ModelError, ModelWarning, SimulationError, meant, shown
+from fourbar_codegen.interface.arguments import Values, is_mapping, named, named_columns, names_of, numbers
 from fourbar_codegen.kernel.dependent import solve_redundant
 from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
@@ -63,11 +63,63 @@ OTHER_TIMES = np.append(np.nan, np.geomspace(1e-3, 1e3, 601))
 def inverse_dynamics(
     model: Kernel,
     motion: Branch | Trajectory | tuple[ArrayLike, Any, Any],
-    find: Any,
-    parameters: Values | None,
-    inputs: Mapping[Any, InputSource | Floats] | None,
+    find: str | Sequence[Any] | None = None,
+    *,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource | Floats] | None = None,
 ) -> dict[str, Floats]:
-    """Inputs that a motion needs; see `CompiledModel.inverse_dynamics`."""
+    """The inputs, such as motor torques, that a given motion needs.
+
+    As many inputs are found as there are degrees of freedom. The mass matrix is not inverted, so that parts may
+    have no mass.
+
+    Parameters
+    ----------
+    motion : Branch, Trajectory, or tuple (t, x, accelerations)
+        A branch of `kinematics`, with the rates for which it was found. Or a run, also of another model with the
+        same coordinates and speeds, such as one where a drive prescribes them. Or times, float or shape (n,);
+        states, shape (n_x,) or (n_x, n), or a mapping from names; and rates of the speeds: an array of shape (n_u,)
+        or (n_u, n), or a mapping from names of some, from which the constraints determine the others.
+    find : str or sequence of str, optional
+        Names of the inputs to find; by default all that are not given and prescribe no motion.
+    parameters : array_like or mapping, optional
+        By default those of the branch or run, otherwise the model's.
+    inputs : mapping, optional
+        Sources of the other inputs, as for `simulate`, or arrays of shape (n,) with a value for each state. All
+        positions of a branch are at its one time, as are states with a time in common: a load that changes along
+        them is an array or a callable of (t, x) that depends on x, not a table; where another load depends on time,
+        a ModelWarning says so.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n,), or () for a single state
+        NaN where the motion is not known, and where these inputs cannot bring it about: at their dead points.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong name or shape, the number of inputs is not that of the degrees of freedom, or a
+        state or its accelerations violate the constraints.
+    SimulationError
+        If the inputs are not determined at any of the states.
+
+    Source: J. Garcia de Jalon, E. Bayo, *Kinematic and Dynamic Simulation of Multibody Systems*, Springer 1994.
+
+    Examples
+    --------
+    The torque that turns a massless crank at 10 rad/s with a piston of 2 kg:
+
+    >>> import fourbar_codegen as fb
+    >>> import numpy as np
+    >>> points = {"O": (0, 0), "A": (0, 0.1), "C": (0.3, 0)}
+    >>> linkage = fb.Linkage("engine", points=points, ground="O", links=["OA", "AC"])
+    >>> linkage.slider("C", along=(1, 0), mass=2.0)
+    >>> linkage.torque("O", "torque")
+    >>> engine = fb.compile_model(linkage.model())
+    >>> found = engine.kinematics({"q_OA": np.linspace(0.0, 2 * np.pi, 73)}, rates={"q_OA": 10.0})
+    >>> engine.inverse_dynamics(found[0])["torque"].max().round(4)
+    np.float64(1.3573)
+    """
     without_rates = _names(model)
     sources = named(by_name(model, inputs), without_rates, "input")
     names = _unknown(model, find, sources)
@@ -321,7 +373,7 @@ def _read_result(model: Kernel, motion: Any) -> _Motion:
     """A branch or a run, in the order of the model's states."""
     if not isinstance(motion, Branch | Trajectory):
         raise ModelError(f"A motion is a Branch, a Trajectory, or (t, x, accelerations), not {shown(motion)}.")
-    source = motion.model
+    source = motion.kernel
     without = motion.without_value if isinstance(motion, Branch) else ()
     if isinstance(motion, Branch):
         states = np.concatenate((motion.q, motion.u, np.full((source.n_z, motion.q.shape[1]), np.nan)))

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed
-from fourbar_codegen.arguments import Values, finite_number, listed, name_of, named_array
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.arguments import Values, finite_number, listed, name_of, named_array
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Linearization", "linearize"]
+__all__ = ["Linearization", "linearize", "state_space"]
 
 Floats = NDArray[np.float64]
 
@@ -48,9 +48,56 @@ class Linearization(Sequence[Floats]):
 
 
 def linearize(
-    model: Kernel, t: float, x: ArrayLike, p: Values | None, r: Values | None, outputs: Sequence[Any] | None
+    model: Kernel,
+    t: float,
+    x: ArrayLike,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    outputs: Sequence[Any] | None = None,
 ) -> Linearization:
-    """A and B of the linearized motion about a state, C and D of outputs; see `CompiledModel.linearize`."""
+    """A and B of d(q_i, u_i, z)/dt = A d(q_i, u_i, z) + B dr near a state that satisfies the constraints.
+
+    In the independent coordinates q_i and speeds u_i, as ``KanesMethod.linearize(A_and_B=True)``: the dependent
+    ones follow the constraints to first order, including constraints with inputs. With outputs y, also C and D
+    of dy = C d(q_i, u_i, z) + D dr.
+
+    Parameters
+    ----------
+    t, x, p, r
+        As for `rhs`.
+    outputs : sequence of str, optional
+        Names of outputs, and of states, dependent ones too; ``model.outputs`` for all outputs.
+
+    Returns
+    -------
+    Linearization
+        A sequence of matrices, with the names of their rows and columns as ``states``, ``inputs`` and ``outputs``:
+        A, shape (n_i, n_i), n_i being the number of independent coordinates, independent speeds and auxiliary
+        states; B, (n_i, n_r); and, if outputs are given, C, (len(outputs), n_i), and D, (len(outputs), n_r).
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite, or the state violates the constraints; or
+        redundant constraints do not determine the derivatives of outputs.
+    SimulationError
+        If the independent coordinates and speeds do not determine the dependent ones at this state.
+
+    Source: D. L. Peterson, G. Gede, M. Hubbard, "Symbolic linearization of equations of motion of
+    constrained multibody systems", *Multibody System Dynamics* 33 (2015).
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> A, B = four_bar.linearize(0.0, four_bar.initial_state())
+    >>> A.shape, B.shape
+    ((2, 2), (2, 1))
+    >>> linear = four_bar.linearize(0.0, four_bar.initial_state(), outputs=["q3"])
+    >>> linear.states, linear.inputs, linear.outputs
+    (('q1', 'u1'), ('F',), ('q3',))
+    """
     t, state = finite_number(t, "t"), named_array(x, model.states, {}, "state")
     names = () if outputs is None else _names(model, outputs)
     n_q, n_r = model.n_q, model.n_r
@@ -98,3 +145,47 @@ def _names(model: Kernel, outputs: Sequence[Any]) -> tuple[str, ...]:
             )
     model.require_output_derivatives([name for name in names if name in model.outputs])
     return names
+
+
+def state_space(
+    model: Kernel,
+    t: float,
+    x: ArrayLike,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    outputs: Sequence[Any] | None = None,
+) -> Linearization:
+    """The matrices A, B, C and D of the linear state space model near a state that satisfies the constraints.
+
+    As `linearize`, always with outputs: d(q_i, u_i, z)/dt = A d(q_i, u_i, z) + B dr, dy = C d(q_i, u_i, z) + D dr.
+
+    Parameters
+    ----------
+    t, x, p, r
+        As for `rhs`.
+    outputs : sequence of str, optional
+        Names of outputs, and of states, dependent ones too; by default all states, and then all outputs.
+
+    Returns
+    -------
+    Linearization
+        A, B, C and D, as SciPy's and control's state space models take them, with names.
+
+    Raises
+    ------
+    ModelError, SimulationError
+        As for `linearize`.
+
+    Source: that of `linearize`.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> from scipy.signal import StateSpace
+    >>> four_bar = fb.load("four_bar")
+    >>> matrices = four_bar.state_space(0.0, four_bar.initial_state(), outputs=["q3"])
+    >>> StateSpace(*matrices).C.shape
+    (1, 2)
+    """
+    return linearize(model, t, x, p, r, outputs=(*model.states, *model.outputs) if outputs is None else outputs)

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import Values
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.arguments import Values
 from fourbar_codegen.kernel.dependent import SINGULAR_RTOL
 from fourbar_codegen.kernel.kernel import Kernel
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import atexit
 import errno
-import hashlib
 import math
 import os
 import platform
@@ -24,8 +23,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
+from fourbar_codegen.building.stored_model import CHECKSUM, agree, checksums_in, digest_of_file
 from fourbar_codegen.errors import CacheError
-from fourbar_codegen.progress import QUIET_SECONDS, Progress
+from fourbar_codegen.interface.progress import QUIET_SECONDS, Progress
 
 if TYPE_CHECKING:
     from filelock import BaseFileLock
@@ -37,7 +37,6 @@ __all__ = [
     "clear",
     "entries",
     "find_cached",
-    "is_whole",
     "size_limit",
     "tool_folder",
 ]
@@ -47,7 +46,6 @@ SIZE_LIMIT = "FOURBAR_CODEGEN_CACHE_SIZE"
 """The environment variable with the size limit in bytes, beyond which the least recently used entries are removed; 2 GB
 by default."""
 
-CHECKSUM = "checksum"
 ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}(\.\d+\.\d+\.removed)?")
 """Names of the folders in the cache, also of those that a process was removing when it ended."""
 
@@ -162,7 +160,7 @@ def _cached(place: Path, build: Callable[[Path], Path], limit: float) -> Path:
             temporary.mkdir()
             module = build(temporary)
             files = [module, *sorted(path for path in temporary.iterdir() if path != module and path.is_file())]
-            lines = [f"{_digest(path)}  {path.name}\n" for path in files]
+            lines = [f"{digest_of_file(path)}  {path.name}\n" for path in files]
             (temporary / CHECKSUM).write_text("".join(lines), encoding="utf-8")
             for path in (temporary, *temporary.rglob("*")):
                 _close(path)
@@ -426,44 +424,8 @@ def _own_folder() -> Path:
 
 def _module_in(place: Path) -> Path | None:
     """The module in a folder of the cache, if it exists and is undamaged: loading a damaged one may crash Python."""
-    checksums = _checksums(place)
-    return place / next(iter(checksums)) if checksums and _agree(place, checksums) else None
-
-
-def is_whole(folder: Path, *names: str) -> bool:
-    """Whether the files of a folder have their checksums; a folder without checksums is accepted.
-
-    All files, or those of some names, as far as the folder has checksums of them.
-
-    Sources are checked too, since they are compiled later for batches of states, and are sent with a model.
-    """
-    checksums = _checksums(folder)
-    if checksums is not None and names:
-        checksums = {name: digest for name, digest in checksums.items() if name in names}
-        return all(_digest(folder / name) == digest for name, digest in checksums.items())
-    return checksums is None or _agree(folder, checksums)
-
-
-def _agree(folder: Path, checksums: dict[str, str | None]) -> bool:
-    return bool(checksums) and all(_digest(folder / name) == digest for name, digest in checksums.items())
-
-
-def _checksums(folder: Path) -> dict[str, str | None] | None:
-    """Checksums by file name, the module's first; None if there are none."""
-    try:
-        lines = (folder / CHECKSUM).read_text(encoding="utf-8").splitlines()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError, UnicodeDecodeError):
-        return None
-    pairs = [line.partition("  ") for line in lines]
-    return {name: digest if digest and name == Path(name).name else None for digest, _, name in pairs}
-
-
-def _digest(path: Path) -> str:
-    """The digest of a file's content; empty if there is no file."""
-    try:
-        return hashlib.sha256(path.read_bytes()).hexdigest()
-    except (FileNotFoundError, NotADirectoryError, IsADirectoryError):
-        return ""
+    checksums = checksums_in(place)
+    return place / next(iter(checksums)) if checksums and agree(place, checksums) else None
 
 
 def _remove(path: Path) -> None:

@@ -26,8 +26,8 @@ from fourbar_codegen.cli.options import (
     with_options,
 )
 from fourbar_codegen.errors import INTERRUPTED
-from fourbar_codegen.files import save, writer_of
-from fourbar_codegen.progress import QUIET_SECONDS, Progress
+from fourbar_codegen.interface.paths import write_whole
+from fourbar_codegen.interface.progress import QUIET_SECONDS, Progress
 
 if TYPE_CHECKING:
     from fourbar_codegen import CompiledModel, Ensemble, Trajectory
@@ -151,11 +151,10 @@ def _simulated(
 def simulate(samples: int, outputs: tuple[Path, ...], **run: Any) -> None:
     import numpy as np
 
-    from fourbar_codegen.results.trajectory import WRITERS
+    from fourbar_codegen.files.save import require_format
 
     for path in outputs:
-        writer_of(path, WRITERS, "A trajectory")
-        _require_packages(path)
+        require_format(path, "trajectory")
     trajectory, seconds = _simulated(lambda start, end: np.linspace(start, end, samples), **run)
     _report(trajectory, run["method"], seconds)
     for path in outputs:
@@ -193,11 +192,10 @@ def sweep(
 ) -> None:
     import numpy as np
 
-    from fourbar_codegen.results.ensemble import WRITERS
+    from fourbar_codegen.files.save import require_format
 
     for path in outputs:
-        writer_of(path, WRITERS, "An ensemble")
-        _require_packages(path)
+        require_format(path, "ensemble")
     if plotted and not any(path.suffix.lower() == ".png" for path in outputs):
         raise fb.ModelError("--plot says what a .png shows: give one, such as -o sweep.png.")
     swept = {name: values for name, values in parameters.items() if hasattr(values, "shape")}
@@ -256,7 +254,7 @@ def _check_plotted(model: CompiledModel, names: tuple[str, ...]) -> None:
     from fourbar_codegen.results.trajectory import make_trajectory
 
     y, r = np.zeros((model.n_x, 0)), np.zeros((model.n_r, 0))
-    nothing = make_trajectory(model=model, parameters=None, t=np.zeros(0), y=y, r=r)
+    nothing = make_trajectory(kernel=model.kernel, parameters=None, t=np.zeros(0), y=y, r=r)
     for name in names:
         if nothing[name].ndim != 1:
             raise fb.ModelError(f"--plot shows scalar quantities over time; {name} has three components.")
@@ -266,7 +264,8 @@ def _save_sweep(ensemble: Ensemble, path: Path, plotted: tuple[str, ...]) -> Pat
     """Write an ensemble; a plot of what was named."""
     if path.suffix.lower() != ".png":
         return ensemble.save(path)
-    return save(path, ensemble.plot(plotted), {".png": lambda figure, file: figure.savefig(file, dpi=120)}, "A plot")
+    figure = ensemble.plot(plotted)
+    return write_whole(path, lambda file: figure.savefig(file, dpi=120))
 
 
 def _report_sweep(ensemble: Ensemble, swept: Mapping[str, Any], method: str, seconds: float) -> None:
@@ -350,29 +349,18 @@ def animate(output: Path, **run: Any) -> None:
 
 def _show(output: Path, suffixes: tuple[str, ...], run: dict[str, Any]) -> None:
     """Simulate with a state for each frame, and write the file."""
-    from fourbar_codegen.presentation.html_page import frame_times
+    from fourbar_codegen.files.save import require_format
+    from fourbar_codegen.views.html_page import frame_times
 
     if output.suffix.lower() not in suffixes:
         raise fb.ModelError(
             f"{output} must end with {' or '.join(suffixes)}: fourbar animate writes animations, report HTML pages, "
             "simulate data."
         )
-    _require_packages(output)
+    require_format(output, "trajectory")
     trajectory, _ = _simulated(frame_times, **run)
     click.echo(f"Written: {trajectory.save(output)}")
     _check_end(trajectory)
-
-
-def _require_packages(path: Path) -> None:
-    """Raise an error, before anything is computed, if a package is missing that a file's format needs."""
-    from fourbar_codegen.presentation.figures import require_figures
-    from fourbar_codegen.presentation.storage import require_netcdf
-
-    kind = path.suffix.lower()
-    if kind == ".nc":
-        require_netcdf()
-    elif kind in (".png", ".gif", ".mp4"):
-        require_figures(kind[1:])
 
 
 def _check_end(trajectory: Trajectory) -> None:
@@ -381,7 +369,7 @@ def _check_end(trajectory: Trajectory) -> None:
 
 
 def _report(trajectory: Trajectory, method: str, seconds: float) -> None:
-    model = trajectory.model
+    model = trajectory.kernel
     if not len(trajectory.t):
         return
     click.echo(f"Model {model.name}, {method}, from t = {trajectory.t[0]:g} s to t = {trajectory.t[-1]:g} s")

@@ -12,7 +12,7 @@ import click
 import fourbar_codegen as fb
 from fourbar_codegen.cli.arithmetic import Arithmetic, parse
 from fourbar_codegen.cli.models import MODEL
-from fourbar_codegen.roles import STEP_CONTROLLED
+from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED
 
 if TYPE_CHECKING:
     import numpy as np

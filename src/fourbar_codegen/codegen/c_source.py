@@ -25,7 +25,7 @@ from fourbar_codegen.lowering.schedule import (
     ScheduledFunction,
     Store,
 )
-from fourbar_codegen.roles import DIRECTIONS, VECTOR, Needs, Role
+from fourbar_codegen.runtime.enumerations import DIRECTIONS, VECTOR, Needs, Role
 
 __all__ = ["batch_text", "derivatives_text", "header_text", "kernel_text", "products_text", "version_texts"]
 

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from fourbar_codegen.dynamics.picture import Picture
+from fourbar_codegen.dynamics.points import Picture
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.layout import Formulas
-from fourbar_codegen.roles import Role
+from fourbar_codegen.runtime.enumerations import Role
 
 __all__ = [
     "Drawing",

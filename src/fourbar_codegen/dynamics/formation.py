@@ -42,7 +42,7 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.momenta import form_momenta
-from fourbar_codegen.dynamics.picture import applied_forces, find_picture
+from fourbar_codegen.dynamics.points import applied_forces, find_picture
 from fourbar_codegen.dynamics.potential import Potential, find_potential
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
@@ -63,7 +63,7 @@ from fourbar_codegen.expressions.identities import deduplicate
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.mechanism import Mechanism
 from fourbar_codegen.modeling.model import InputEntry, Model, multiplier
-from fourbar_codegen.roles import Role
+from fourbar_codegen.runtime.enumerations import Role
 
 __all__ = ["check_velocity_constraints", "form_equations"]
 

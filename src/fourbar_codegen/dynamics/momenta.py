@@ -9,7 +9,7 @@ from __future__ import annotations
 from fourbar_codegen.dynamics.equations import Variables, vector
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, add, cross, negative, scale
-from fourbar_codegen.dynamics.picture import Picture
+from fourbar_codegen.dynamics.points import Picture
 from fourbar_codegen.expressions.tape import Leaf, Node, Result, Scalar
 
 __all__ = ["form_momenta"]

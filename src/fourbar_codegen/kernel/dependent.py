@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
-from fourbar_codegen.roles import Threshold
+from fourbar_codegen.runtime.enumerations import Threshold
 
 __all__ = ["INDEPENDENCE_RTOL", "SINGULAR_RTOL", "eliminate", "row_sizes", "solve_dependent", "solve_redundant"]
 

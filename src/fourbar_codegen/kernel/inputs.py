@@ -8,8 +8,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, numbers, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import (
+    Values,
+    finite_number,
+    is_mapping,
+    name_of,
+    named,
+    numbers,
+    of_time_and_state,
+)
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.runtime.integrator import Ode, Table
 
@@ -27,6 +35,7 @@ __all__ = [
     "inputs_of",
     "is_by_member",
     "is_held",
+    "ode",
     "own_source",
     "source_changes",
     "wrt_values",
@@ -54,6 +63,37 @@ def bind(model: Kernel, parameters: Values | None, inputs: Mapping[Any, InputSou
         if missing:
             raise ModelError(f"Input {', '.join(missing)} has no source and no expression: give a source in inputs=.")
     return Ode(model, parameters, sources)
+
+
+def ode(model: Kernel, parameters: Values | None = None, inputs: Mapping[Any, InputSource] | None = None) -> Ode:
+    """The right-hand side as a callable f(t, x), for `scipy.integrate.solve_ivp` and similar integrators.
+
+    Parameters
+    ----------
+    parameters : array_like or mapping, optional
+        The defaults otherwise.
+    inputs : mapping, optional
+        As for `simulate`.
+
+    Returns
+    -------
+    Ode
+        Callable, with its Jacobian as ``.jac``. The integrators in `fourbar_codegen.solvers` call it in C.
+        Several threads may use it at the same time.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> from scipy.integrate import solve_ivp
+    >>> four_bar = fb.load("four_bar")
+    >>> f = four_bar.ode({"l2": 0.45})
+    >>> x0 = four_bar.initial_state(parameters={"l2": 0.45})
+    >>> solve_ivp(f, (0.0, 1.0), x0, method="Radau", jac=f.jac).success
+    True
+    >>> solve_ivp(f, (0.0, 1.0), x0, method=fb.solvers.DOP853).success
+    True
+    """
+    return bind(model, parameters, inputs)
 
 
 def along(

@@ -3,36 +3,28 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Self
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, finite_number, is_mapping, name_of, named, named_array, named_values
-from fourbar_codegen.building.library import PARTS
-from fourbar_codegen.building.page_module import page_module
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives, compare_products
-from fourbar_codegen.kernel.dependent import eliminate
-from fourbar_codegen.kernel.loading import (
-    Loaded,
-    generated,
-    layout_beside,
-    load_file,
-    load_from_sources,
-    load_known,
-    load_part,
-    shipped_sources,
-    sources_beside,
+from fourbar_codegen.interface.arguments import (
+    Values,
+    finite_number,
+    is_mapping,
+    name_of,
+    named,
+    named_array,
+    named_values,
 )
-from fourbar_codegen.layout import Json, Layout
-from fourbar_codegen.progress import Progress
-from fourbar_codegen.roles import Role
-from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite, versions
+from fourbar_codegen.kernel.dependent import eliminate
+from fourbar_codegen.layout import Layout
+from fourbar_codegen.runtime.enumerations import Role
+from fourbar_codegen.runtime.evaluator import NOT_FINITE, is_finite
 from fourbar_codegen.runtime.functions import DYNAMICS, ENERGY, OUTPUT, POSITION, Functions
 
 __all__ = ["Kernel", "parameter_array"]
@@ -43,21 +35,36 @@ ENERGIES = {"potential_energy", "energy", "potential energy", "total energy"}
 """Names of quantities with the potential energy, in tables and in plots."""
 
 
+class Origin(Protocol):
+    """Where a kernel came from, which makes the parts that are compiled at their first use."""
+
+    @property
+    def path(self) -> Path:
+        """Of the extension module or library."""
+
+    def built(self, kernel: Kernel, part: str) -> int:
+        """The address of a part's table."""
+
+    def reduced(self, kernel: Kernel) -> tuple[Any, ...]:
+        """What a pickle has of a kernel."""
+
+
 class Kernel(Functions):
     """A mechanism's compiled equations of motion, and their evaluation.
 
     The order of arguments is (t, x, p, r): time, state x = [q; u; z], parameters, inputs. Parameters and inputs are
     arrays in order, or mappings from names or SymPy symbols, which may leave out entries with a default.
 
-    Its attributes are those of `fourbar_codegen.CompiledModel`.
+    Its other attributes are those of `fourbar_codegen.CompiledModel`.
+
+    Attributes
+    ----------
+    origin : Origin or None
+        What compiles its later parts.
     """
 
-    def __init__(self, capsule: object, layout: Layout) -> None:  # noqa: ARG002  # Functions take it
-        self.path = Path()
-        self._sources_when_loaded: dict[str, str] | None = None
-        self._later: bytes | None = None
-        self.compares = True
-        """Whether parts that are compiled later are compared: False after ``compile_model(model, check=False)``."""
+    def __init__(self, capsule: object, layout: Layout, origin: Origin | None = None) -> None:  # noqa: ARG002
+        self.origin = origin
         self.name: str = layout.name
         self.coordinates: tuple[str, ...] = layout.coordinates
         self.speeds: tuple[str, ...] = layout.speeds
@@ -75,47 +82,14 @@ class Kernel(Functions):
         self.descriptions: dict[str, str] = {e.name: e.description for e in layout.parameters}
 
     @property
-    def manifest(self) -> dict[str, Json]:
-        """The layout as data that JSON can hold, as in the manifest.json of generated sources."""
-        return self.layout.to_json()
-
-    @classmethod
-    def from_loaded(cls, loaded: Loaded) -> Self:
-        """The model that was loaded, in the fastest version that the processor can run."""
-        try:
-            model = cls(versions(loaded.kernel)[-1], loaded.layout)
-        except ValueError as error:
-            if isinstance(error, ModelError):  # a compiled model, of another layout
-                raise
-            raise ModelError(f"{loaded.path} is not a compiled model: {error}.") from error
-        model.path = loaded.path
-        model._sources_when_loaded = loaded.sources
-        model._later = loaded.later
-        return model
-
-    @classmethod
-    def from_file(cls, path: Path) -> Self:
-        """The model in a file; see `loading.load_file`."""
-        return cls.from_loaded(load_file(path))
-
-    @classmethod
-    def find(cls, name: str, fingerprint: str) -> Self | None:
-        """The model of a name and fingerprint, if it exists already; see `loading.load_known`."""
-        found = load_known(name, fingerprint)
-        return None if found is None else cls.from_loaded(found)
+    def path(self) -> Path:
+        """The extension module, or the library of `compile_model`."""
+        return Path() if self.origin is None else self.origin.path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        path = str(self.path) if self.is_portable else None
-        return _restore, (type(self), path, self.layout, self._sources(), self.compares, self._later)
-
-    def _sources(self) -> dict[str, str] | None:
-        """The sources: those beside a library when it was loaded, or those that are beside a module now.
-
-        None if a module's folder was rebuilt, even in part, since its sources belong to another model then.
-        """
-        if not self.is_portable:
-            return self._sources_when_loaded
-        return sources_beside(self.path, self.name) if layout_beside(self.path) == self.layout else None
+        if self.origin is None:
+            raise ModelError(f"The kernel of {self.name} cannot be pickled: it is not known where it came from.")
+        return self.origin.reduced(self)
 
     def require_batch_functions(self) -> None:
         """Build and load the functions for batches of states, if the model was built without them.
@@ -139,8 +113,7 @@ class Kernel(Functions):
         False
         """
         if self.lacks_batch_functions:
-            attach, compare = type(self)._attach_batch_functions, compare_batch_functions
-            self._require("batch_functions", "Batches and ensembles need", attach, compare)
+            self.attach_batch_functions(self._built("batch_functions"))
 
     def require_derivatives(self) -> None:
         """Build and load derivatives and data for drawings, if the model was built without them.
@@ -157,8 +130,7 @@ class Kernel(Functions):
         False
         """
         if self.lacks_derivatives:
-            attach, compare = type(self)._attach, compare_derivatives
-            self._require("derivatives", "Derivatives and pictures need", attach, compare)
+            self.attach(self._built("derivatives"))
 
     def require_products(self) -> None:
         """Build and load products of derivatives with vectors, if the model was built without them.
@@ -175,80 +147,19 @@ class Kernel(Functions):
         """
         self.require_derivatives()
         if self.lacks_products:
-            attach, compare = type(self)._attach, compare_products
-            self._require("products", "Sensitivities and gradients need", attach, compare)
+            self.attach(self._built("products"))
 
-    def _require(
-        self,
-        part: str,
-        needed: str,
-        attach: Callable[[Self, int], None],
-        compare: Callable[[Functions], None],
-    ) -> None:
-        """Attach a part from its library, which is built and compared first if it is not in the cache.
-
-        With ``check=False`` of `compile_model` it is not compared.
-        """
-        sources = self._sources_of(
-            part,
-            f"{needed} functions that compile_model builds later, but their sources beside {self.path} were missing or "
-            "damaged: compile the model again. A module of build_model contains them.",
-        )
-        with Progress(f"fourbar_codegen: {self.name}") as progress:
-            progress.stage(f"compiling {part.replace('_', ' ')}")
-
-            def check(address: int) -> None:
-                model = type(self)(self.capsule, self.layout)
-                model._attach_parts_of(self)
-                attach(model, address)
-                compare(model)
-
-            attach(self, load_part(self.name, part, sources, check if self.compares else None))
-
-    def _page_module(self) -> bytes:
-        """The model as WebAssembly, for live pages; see `building.page_module`."""
-        sources = self._sources_of(
-            "derivatives",
-            f"A page is compiled from the sources of {self.name}, which are not beside {self.path}: compile the model "
-            "again, or load a module of build_model from its folder.",
-        )
-        with Progress(f"fourbar_codegen: {self.name}") as progress:
-            progress.stage("compiling to WebAssembly")
-            return page_module(self.name, sources, self.layout)
-
-    def _sources_of(self, part: str, otherwise: str) -> dict[str, str]:
-        """All sources, if they have those of a part; an error otherwise."""
-        sources = self._sources() or shipped_sources(self.path, self.name) or {}
-        if f"{self.name}{PARTS[part][0][0]}" not in sources and self._later is not None:
-            with Progress(f"fourbar_codegen: {self.name}") as progress:
-                progress.stage(f"forming {part}")
-                sources = {**sources, **generated(self.name, part, self._later)}
-        if any(f"{self.name}{suffix}" not in sources for suffix in PARTS[part][0]):
-            raise ModelError(otherwise)
-        return sources
+    def _built(self, part: str) -> int:
+        if self.origin is None:
+            raise ModelError(
+                f"The {part.replace('_', ' ')} of {self.name} cannot be built: their sources are not known."
+            )
+        return self.origin.built(self, part)
 
     @property
     def residual_label(self) -> str:
         """The title of residuals of the constraints in plots and tables."""
         return "Constraint residual" if self.layout.constraints.velocity_rows else "Loop residual"
-
-    @property
-    def is_verified(self) -> bool:
-        """Whether the compiled equations of motion were compared with those that they were generated from.
-
-        That happens at random states, or at the initial values, right after compilation. It is false with
-        ``check=False``, where the equations have no real value at any of these states, and for the models that come
-        with the package, which are compiled without SymPy.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.compile_model(fb.models.four_bar()).is_verified
-        True
-        >>> fb.load("four_bar").is_verified
-        False
-        """
-        return bool(self.layout.compared)
 
     @property
     def energy_without(self) -> tuple[str, ...]:
@@ -265,15 +176,6 @@ class Kernel(Functions):
         if is_own or name not in ENERGIES or not self.energy_without:
             return name
         return f"{name} without {', '.join(self.energy_without)}"
-
-    def __repr__(self) -> str:
-        auxiliary = ", ".join(self.auxiliary_states)
-        return (
-            f"<{type(self).__name__} {self.name}: coordinates {', '.join(self.coordinates)}; "
-            f"speeds {', '.join(self.speeds)}; "
-            f"{f'auxiliary states {auxiliary}; ' if auxiliary else ''}"
-            f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
-        )
 
     # Names to arrays.
 
@@ -667,48 +569,3 @@ class Kernel(Functions):
 def parameter_array(model: Kernel, parameters: Floats | None) -> Floats:
     """Parameters, or the defaults for None, shape (n_p,)."""
     return np.array([*model.defaults.values()], dtype=float) if parameters is None else parameters
-
-
-def _restore(
-    kind: type[Kernel],
-    path: str | None,
-    layout: Layout,
-    sources: Mapping[str, str] | None,
-    compares: bool,
-    later: bytes | None,
-) -> Kernel:
-    """A model from another process, possibly on another machine, whose later parts are compared or not."""
-    model = _found(kind, path, layout, sources, later)
-    model.compares = compares
-    return model
-
-
-def _found(
-    kind: type[Kernel],
-    path: str | None,
-    layout: Layout,
-    sources: Mapping[str, str] | None,
-    later: bytes | None,
-) -> Kernel:
-    """The same, before that is known.
-
-    A portable module is loaded from its path. A library that was built for one machine comes without a path: another
-    machine may see the same folder, but lack the instructions, which the cache's key accounts for. A model that is
-    missing, differs or cannot be loaded is built from the sources that came with it.
-    """
-    if path is not None and Path(path).is_file():
-        with suppress(ModelError):
-            model = kind.from_file(Path(path))
-            if model.layout == layout:
-                return model
-    with suppress(ModelError):
-        found = kind.find(layout.name, layout.fingerprint)
-        if found is not None and found.layout == layout:
-            return found
-    if sources is None:
-        raise ModelError(
-            f"The model {layout.name} that was sent is not found here, or only a different one of its name, and its "
-            "sources were not beside it, or are those of a later build. Install its wheel, or send the module of "
-            "build_model from the folder that has its sources."
-        )
-    return kind.from_loaded(load_from_sources(layout.name, sources, layout, later))

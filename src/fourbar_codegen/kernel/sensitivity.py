@@ -8,8 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import Values, name_of
 from fourbar_codegen.errors import AssemblyError, ModelError, meant
+from fourbar_codegen.interface.arguments import Values, name_of
 from fourbar_codegen.kernel.inputs import (
     InputSource,
     arbitrary_changes,
@@ -20,7 +20,7 @@ from fourbar_codegen.kernel.inputs import (
     source_changes,
 )
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
-from fourbar_codegen.roles import Threshold
+from fourbar_codegen.runtime.enumerations import Threshold
 from fourbar_codegen.runtime.evaluator import dependent_changes
 
 __all__ = [

@@ -12,13 +12,13 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_finite, is_mapping, listed, numbers
 from fourbar_codegen.errors import ModelError, meant, shown
+from fourbar_codegen.interface.arguments import finite_number, is_finite, is_mapping, listed, numbers
 from fourbar_codegen.linkage.checks import SAME_RTOL, check_mobility, check_parts, size_of
 from fourbar_codegen.linkage.mobility import Mobility, find_mobility
 from fourbar_codegen.linkage.parts import Drive, Link, Parts, PointForce, Strut, Torque, new_symbol
+from fourbar_codegen.linkage.read_csv import name_of_file, rows
 from fourbar_codegen.linkage.system import build_system, coordinate, geometry, speed
-from fourbar_codegen.linkage.table import name_of_file, rows
 from fourbar_codegen.linkage.tree import GROUND, Slide, Tree, spanning_tree
 from fourbar_codegen.modeling.model import Model, Parameter, multiplier
 

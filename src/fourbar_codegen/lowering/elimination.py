@@ -23,7 +23,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 
 from fourbar_codegen.lowering.program import Entries, PivotOrder, Structure
-from fourbar_codegen.roles import Threshold
+from fourbar_codegen.runtime.enumerations import Threshold
 
 __all__ = ["MAX_CONSTRAINTS", "find_pivot_order", "find_structure", "recursive_cost", "solution_cost"]
 

@@ -39,7 +39,7 @@ from fourbar_codegen.lowering.program import (
     Structure,
     fits_lanes,
 )
-from fourbar_codegen.roles import Needs, Role
+from fourbar_codegen.runtime.enumerations import Needs, Role
 
 __all__ = ["lower", "lower_derivatives", "lower_products"]
 

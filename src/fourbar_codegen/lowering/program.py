@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from fourbar_codegen.expressions.tape import ONE, Call, Leaf, Node, Result, operands, operations_of
 from fourbar_codegen.layout import Form
-from fourbar_codegen.roles import Role
+from fourbar_codegen.runtime.enumerations import Role
 
 __all__ = [
     "Array",

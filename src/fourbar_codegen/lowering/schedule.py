@@ -15,7 +15,7 @@ import sympy as sm
 from fourbar_codegen.expressions.tape import ONE, Call, Scalar, operands
 from fourbar_codegen.lowering.elimination import MAX_CONSTRAINTS
 from fourbar_codegen.lowering.program import Function, Program, fits_lanes
-from fourbar_codegen.roles import Role
+from fourbar_codegen.runtime.enumerations import Role
 
 __all__ = [
     "ANGLES_PER_VECTOR",

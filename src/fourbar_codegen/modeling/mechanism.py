@@ -5,12 +5,14 @@ Everything that the equations depend on is in a `Mechanism`, so its fingerprint 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
 import sympy as sm
 from sympy.core.function import AppliedUndef
+
+from fourbar_codegen.interface.methods import Registered
 
 __all__ = [
     "Body",
@@ -265,6 +267,9 @@ class Mechanism:
     not_drawn: tuple[str, ...]
     length_laws: tuple[LengthLaw, ...] = field(hash=False)
     is_origin_fixed: bool | None = field(hash=False)
+
+    # By the mechanics, which stand above.
+    forces_along_auxiliary_speeds = Registered[[Sequence[sm.Expr]], tuple[sm.Expr, ...]]()
 
     @property
     def states_velocity_constraints(self) -> bool:

@@ -14,9 +14,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.arguments import finite_number, is_mapping, name_of, slider_range
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
+from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_of, slider_range
+from fourbar_codegen.interface.methods import Registered
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.system_reader import read_mechanism
 
@@ -255,6 +256,9 @@ class Model:
     ('q',)
     """
 
+    # By the equations, which stand above the Model.
+    _check_velocity_constraints = Registered[[], None]()
+
     def __init__(
         self,
         system: System | KanesMethod,
@@ -306,9 +310,7 @@ class Model:
         states = {_name(function): function for function in self._states()}
         self.initial = self._check_initial(_by_symbol(_mapping(initial, "initial"), states))
         if self.mechanism.states_velocity_constraints:
-            from fourbar_codegen.dynamics.formation import check_velocity_constraints
-
-            check_velocity_constraints(self)
+            self._check_velocity_constraints()
 
     @property
     def coordinates(self) -> tuple[str, ...]:
@@ -348,7 +350,7 @@ class Model:
         )
 
     def _repr_html_(self) -> str:
-        from fourbar_codegen.tables import names_table
+        from fourbar_codegen.interface.notebook import names_table
 
         return names_table(
             f"Model {self.name}",
@@ -443,9 +445,7 @@ class Model:
         loads = chain.from_iterable(expressions for _, expressions in mechanism.labelled_loads())
         found = [node for node in walk(loads) if isinstance(node, AppliedUndef) and node not in known]
         if len(found) > len(mechanism.auxiliary_speeds):
-            from fourbar_codegen.dynamics.unknown_forces import forces_along_auxiliary_speeds
-
-            along = forces_along_auxiliary_speeds(mechanism, found)
+            along = mechanism.forces_along_auxiliary_speeds(found)
             found = [*along] if len(along) == len(mechanism.auxiliary_speeds) else found
         if found and len(found) != len(mechanism.auxiliary_speeds):
             raise ModelError(

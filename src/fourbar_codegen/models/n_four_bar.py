@@ -10,8 +10,8 @@ import sympy as sm
 import sympy.physics.mechanics as me
 from sympy.physics.mechanics.system import System
 
-from fourbar_codegen.arguments import is_integer
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import is_integer
 from fourbar_codegen.modeling.model import Model, Parameter
 
 __all__ = ["n_four_bar"]

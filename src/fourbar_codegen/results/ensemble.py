@@ -2,30 +2,30 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import is_integer, name_of
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.files import check_free, save
+from fourbar_codegen.interface.arguments import is_integer, name_of
+from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.inputs import bind, inputs_of, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory
 
 if TYPE_CHECKING:
-    import xarray
     from matplotlib.figure import Figure
+    from xarray import Dataset
+else:
+    Figure = Dataset = Any
 
-__all__ = ["WRITERS", "Ensemble", "over_members"]
+__all__ = ["Ensemble", "over_members"]
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +68,7 @@ class Ensemble:
     ((3, 6, 3), (3, 3), np.True_)
     """
 
-    model: Kernel
+    kernel: Kernel
     t: Floats
     y: Floats
     n_events: int | None
@@ -79,6 +79,11 @@ class Ensemble:
     parameters: Floats
     inputs: Mapping[Any, Any]
     settings: Mapping[str, Any]
+
+    model = RegisteredAttribute()
+    save = Registered[[str | Path], Path]()
+    plot = Registered[..., Figure]()
+    to_xarray = Registered[[], Dataset]()
 
     def __len__(self) -> int:
         return len(self.y)
@@ -94,8 +99,8 @@ class Ensemble:
         if isinstance(key, slice):
             raise ModelError("Ensembles have no slices: slice ensemble.y, or index one member with a number.")
         name = name_of(key)
-        if name in self.model.states:
-            return self.y[:, self.model.states.index(name)]
+        if name in self.kernel.states:
+            return self.y[:, self.kernel.states.index(name)]
         if name == "t":
             return self.t
         if not len(self):
@@ -120,9 +125,9 @@ class Ensemble:
             if t_events[last][-1] not in t:
                 t, y = np.append(t, t_events[last][-1]), np.column_stack((y, y_events[last][-1]))
         parameters, inputs = self.parameters[member].copy(), inputs_of(self.inputs, member)
-        ode = bind(self.model, parameters, inputs)
+        ode = bind(self.kernel, parameters, inputs)
         return Trajectory(
-            model=self.model, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=t_events,
+            kernel=self.kernel, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=t_events,
             y_events=y_events, nfev=int(self.nfev[member]), njev=0, nlu=0, status=status, success=status >= 0,
             message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
@@ -160,96 +165,15 @@ class Ensemble:
     def by_member(self) -> dict[str, Floats]:
         """All parameters, and the inputs with a number for each member, by name, each of shape (n,)."""
         return {
-            **dict(zip(self.model.parameters, self.parameters.T, strict=True)),
+            **dict(zip(self.kernel.parameters, self.parameters.T, strict=True)),
             **{name_of(key): source for key, source in self.inputs.items() if is_by_member(source)},
         }
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The ensemble as an xarray Dataset; needs the extra ``data``.
-
-        Returns
-        -------
-        xarray.Dataset
-            Over ``member`` and ``time`` (s) a variable for each coordinate, speed, auxiliary state and output; over
-            ``member`` each parameter, ``success``, ``message`` and ``nfev``. Attributes as in `Trajectory.to_xarray`.
-
-        Raises
-        ------
-        ModelError
-            If xarray is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> four_bar = fb.load("four_bar")
-        >>> ensemble = four_bar.ensemble((0.0, 1.0), parameters={"k": [2.0, 3.0]}, t_eval=[0.0, 0.5, 1.0])
-        >>> ensemble.to_xarray()["q1"].dims
-        ('member', 'time')
-        """
-        from fourbar_codegen.presentation.storage import ensemble_dataset
-
-        return ensemble_dataset(self)
-
-    def plot(self, names: str | Sequence[Any] = ()) -> Figure:
-        """Plot some members, and the median and the bands of 50 % and 90 % of all of them; needs ``visual``.
-
-        If members differ in one parameter alone, there are no bands: curves are coloured by its value.
-
-        Parameters
-        ----------
-        names : str or sequence of str, optional
-            Names of scalar quantities, as in `Trajectory`, with a panel for each; by default the coordinates.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If there is no such quantity, or Matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> import fourbar_codegen as fb
-        >>> times = np.linspace(0.0, 1.0, 101)
-        >>> stiffness = np.linspace(1.0, 5.0, 50)
-        >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": stiffness}, t_eval=times)
-        >>> figure = ensemble.plot(["q1", "energy"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_ensemble
-
-        return plot_ensemble(self, names)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the ensemble to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            The suffix selects the format: ``.csv`` (a row for each member and time: the parameters that differ, states
-            and outputs), ``.npz`` (NumPy: ``t``; each state and output, shape (n, n_t); each parameter, ``success``,
-            ``messages`` and ``nfev``, shape (n,)), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.png``
-            (`plot`; needs the extra ``visual``). Missing folders are created. If writing fails, an existing file is not
-            changed.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        ModelError
-            If this is no path, the suffix is unknown, the file cannot be written, or a required package is missing.
-        """
-        return save(path, self, WRITERS, "An ensemble")
 
     def __iter__(self) -> Iterator[Trajectory]:
         return (self[member] for member in range(len(self)))
 
     def __repr__(self) -> str:
-        n, name = len(self), self.model.name
+        n, name = len(self), self.kernel.name
         span = f"{self.t[0]:g} s to {self.t[-1]:g} s, {len(self.t)} times" if len(self.t) else "no times"
         failed = n - int(self.success.sum())
         varied = ", ".join(self.varied)
@@ -270,45 +194,3 @@ def over_members(ensemble: Ensemble, quantity: Callable[[Trajectory], Floats]) -
     for place, row, n in zip(values, rows, reached, strict=True):
         place[..., :n] = row[..., :n]
     return values
-
-
-def _write_csv(ensemble: Ensemble, file: IO[bytes]) -> None:
-    model, varied = ensemble.model, ensemble.varied
-    of_members = {  # those that differ between members, or from the defaults
-        name: values
-        for name, values in ensemble.by_member.items()
-        if name in varied or (len(values) and values[0] != model.defaults.get(name))
-    }
-    check_free((*of_members, *model.states, *model.outputs), {"member", "t"})
-    text = io.TextIOWrapper(file, encoding="utf-8", newline="")
-    writer = csv.writer(text)
-    writer.writerow(("member", *of_members, "t", *model.states, *model.outputs))
-    for number, member in enumerate(ensemble):
-        own = [float(values[number]) for values in of_members.values()]
-        rows = np.vstack((member.t, member.y, member.outputs)).T.tolist()
-        writer.writerows((number, *own, *row) for row in rows)
-    text.detach()  # the file stays open
-
-
-def _write_npz(ensemble: Ensemble, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import write_ensemble_npz
-
-    write_ensemble_npz(ensemble, file)
-
-
-def _write_netcdf(ensemble: Ensemble, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import ensemble_dataset, write_dataset
-
-    write_dataset(ensemble_dataset(ensemble), file)
-
-
-def _write_png(ensemble: Ensemble, file: IO[bytes]) -> None:
-    ensemble.plot().savefig(file, dpi=120, format="png")
-
-
-WRITERS: dict[str, Callable[[Ensemble, IO[bytes]], None]] = {
-    ".csv": _write_csv,
-    ".npz": _write_npz,
-    ".nc": _write_netcdf,
-    ".png": _write_png,
-}

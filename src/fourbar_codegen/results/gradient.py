@@ -9,8 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.arguments import is_mapping, name_of, named, numbers
 from fourbar_codegen.kernel.inputs import wrt_values
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import (

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import name_of
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.files import save, write_csv
+from fourbar_codegen.interface.arguments import name_of
+from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+else:
+    Figure = Any
 
 __all__ = ["Branch", "Kinematics"]
 
@@ -50,7 +52,7 @@ class Branch:
         in p and 0 in r.
     """
 
-    model: Kernel
+    kernel: Kernel
     t: float
     drive: dict[str, Floats]
     q: Floats
@@ -63,10 +65,14 @@ class Branch:
     p: Floats
     without_value: tuple[str, ...]
 
+    model = RegisteredAttribute()
+    save = Registered[[str | Path], Path]()
+    plot_paths = Registered[..., Figure]()
+
     @cached_property
     def _drawn(self) -> Floats:
         """Positions, velocities and accelerations of all drawn points, shape (3, n_points, 3, n)."""
-        model, n = self.model, self.q.shape[1]
+        model, n = self.kernel, self.q.shape[1]
         found = np.full((3, len(model.layout.drawing.points), 3, n), np.nan)
         for k in np.flatnonzero(np.isfinite(self.q).all(axis=0)):
             is_known = np.isfinite(self.ud[:, k]).all()
@@ -86,17 +92,17 @@ class Branch:
     @cached_property
     def points(self) -> dict[str, Floats]:
         """Positions of points by name, m, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[0], strict=False))
+        return dict(zip(self.kernel.points, self._drawn[0], strict=False))
 
     @cached_property
     def velocities(self) -> dict[str, Floats]:
         """Velocities of points by name, m/s, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[1], strict=False))
+        return dict(zip(self.kernel.points, self._drawn[1], strict=False))
 
     @cached_property
     def accelerations(self) -> dict[str, Floats]:
         """Accelerations of points by name, m/s^2, each of shape (3, n)."""
-        return dict(zip(self.model.points, self._drawn[2], strict=False))
+        return dict(zip(self.kernel.points, self._drawn[2], strict=False))
 
     def __getitem__(self, name: Any) -> Floats:
         """A coordinate or speed, shape (n,), or the positions of a point, m, shape (3, n), by name or symbol.
@@ -106,7 +112,7 @@ class Branch:
         ModelError
             If there is no such quantity. The message lists the names.
         """
-        key, model = name_of(name), self.model
+        key, model = name_of(name), self.kernel
         if key in model.coordinates:
             return np.asarray(self.q[model.coordinates.index(key)])
         if key in model.speeds:
@@ -122,7 +128,7 @@ class Branch:
         The drive, coordinates, speeds and inputs; positions of points, such as ``P.x`` (m). A prime at the end of a
         name is for the first derivative with respect to time, two for the second. NaN where the loops do not close.
         """
-        model = self.model
+        model = self.kernel
         columns = {**self.drive}
         for names, rows, primes in (
             (model.coordinates, self.q, ""),
@@ -140,38 +146,10 @@ class Branch:
                     columns.setdefault(f"{point}.{axis}{primes}", row)
         return columns
 
-    def save(self, path: str | Path) -> Path:
-        """Write the branch to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            The suffix selects the format: ``.csv`` (a row for each value of the drive, with the `columns`, all digits)
-            or ``.npz`` (NumPy, an array for each of them, and as JSON ``run_attributes``: model, fingerprint, versions,
-            parameters and limits). Missing folders are created. If writing fails, an existing file is not changed.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        ModelError
-            If this is no path, the suffix is unknown, or the file cannot be written.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> import numpy as np
-        >>> branch = fb.load("four_bar").kinematics({"q1": [-0.5, 0.0, 0.5]})[0]
-        >>> np.load(branch.save("branch.npz"))["P2.x"].round(4)  # doctest: +SKIP
-        """
-        return save(path, self, WRITERS, "A branch")
-
     def __repr__(self) -> str:
         closed = int(np.isfinite(self.q).all(axis=0).sum())
         ends = "; ".join(f"{name} from {low:.6g} to {high:.6g}" for name, (low, high) in self.limits.items())
-        return f"<Branch of {self.model.name}: {ends}; closed at {closed} of {self.q.shape[1]} values>"
+        return f"<Branch of {self.kernel.name}: {ends}; closed at {closed} of {self.q.shape[1]} values>"
 
     def transmission_angle(self, a: str, joint: str, b: str) -> Floats:
         """The angle at a joint between the ways to two other points, such as between coupler and rocker.
@@ -200,38 +178,12 @@ class Branch:
         (11,)
         """
         for name in (a, joint, b):
-            if not isinstance(name, str) or name not in self.model.points:
-                raise ModelError(f"There is no point {shown(name)}; there are {', '.join(self.model.points)}.")
+            if not isinstance(name, str) or name not in self.kernel.points:
+                raise ModelError(f"There is no point {shown(name)}; there are {', '.join(self.kernel.points)}.")
         first, second = (self.points[end] - self.points[joint] for end in (a, b))
         return np.asarray(
             np.arctan2(np.linalg.norm(np.cross(first, second, axis=0), axis=0), (first * second).sum(axis=0))
         )
-
-    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> branch = fb.load("four_bar").kinematics({"q1": [-0.5, 0.0, 0.5]})[0]
-        >>> figure = branch.plot_paths(["P2"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_branches
-
-        return plot_branches([self], points)
-
-
-def _write_csv(branch: Branch, file: IO[bytes]) -> None:
-    write_csv(branch.columns(), file)
-
-
-def _write_npz(branch: Branch, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import branch_attributes, write_npz
-
-    write_npz(branch.columns(), branch_attributes(branch), file)
-
-
-WRITERS: dict[str, Callable[[Branch, IO[bytes]], None]] = {".csv": _write_csv, ".npz": _write_npz}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -250,11 +202,15 @@ class Kinematics(Sequence[Branch]):
         This is known where loops are closed one or two constraints at a time (see `AssemblyModes`).
     """
 
-    model: Kernel
+    kernel: Kernel
     drive: dict[str, Floats]
     branches: tuple[Branch, ...]
     dead_points: tuple[dict[str, float], ...]
     is_complete: bool
+
+    model = RegisteredAttribute()
+    plot = Registered[..., Figure]()
+    plot_paths = Registered[..., Figure]()
 
     def __len__(self) -> int:
         return len(self.branches)
@@ -278,62 +234,6 @@ class Kinematics(Sequence[Branch]):
     def __repr__(self) -> str:
         where = "everywhere" if self.closes.all() else f"at {int(self.closes.sum())} of {len(self.closes)} values"
         return (
-            f"<Kinematics of {self.model.name} along {', '.join(self.drive)}: {len(self)} branches"
+            f"<Kinematics of {self.kernel.name} along {', '.join(self.drive)}: {len(self)} branches"
             f"{'' if self.is_complete else ' or more'}, {len(self.dead_points)} dead points; the loops close {where}>"
         )
-
-    def plot(self, *names: Any) -> Figure:
-        """Plot quantities of all branches against the drive; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        *names : str or Symbol
-            Coordinates, speeds, or points; by default all coordinates.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If a name is not known, or Matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> import numpy as np
-        >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
-        >>> figure = found.plot("q2", "P2")  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_kinematics
-
-        return plot_kinematics(self, names)
-
-    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the mechanism in each branch with the paths of points; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        points : sequence of str, optional
-            By default the moving joints.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If a point is not known, there is nothing to draw, or Matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> import numpy as np
-        >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
-        >>> figure = found.plot_paths(["P2"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_branches
-
-        return plot_branches(self.branches, points)

@@ -4,32 +4,34 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import is_integer, name_of, sample_times
-from fourbar_codegen.errors import ModelError, ModelWarning, shown
-from fourbar_codegen.files import save, write_csv
+from fourbar_codegen.errors import ModelError, ModelWarning
+from fourbar_codegen.interface.arguments import name_of, sample_times
+from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
+from fourbar_codegen.interface.notebook import Page
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
-from fourbar_codegen.roles import VECTORS
-from fourbar_codegen.tables import Page, table
+from fourbar_codegen.runtime.enumerations import VECTORS
 
 if TYPE_CHECKING:
-    import pandas
-    import xarray
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
+    from pandas import DataFrame
+    from xarray import Dataset
 
     from fourbar_codegen.kernel.sensitivity import Directions
+else:
+    FuncAnimation = Figure = DataFrame = Dataset = Any
 
-__all__ = ["WRITERS", "Trajectory", "make_trajectory"]
+__all__ = ["Trajectory", "make_trajectory"]
 
 INTERPOLATION_RTOL = 0.01
 """Interpolation errors of more than this share of a state's range cause a warning."""
@@ -62,7 +64,7 @@ class Trajectory:
     success : bool
     message : str
         Why the run ended.
-    model : Kernel
+    model : CompiledModel
     parameters : ndarray or None
         The parameter values, unless they are the defaults.
     settings : dict
@@ -91,7 +93,7 @@ class Trajectory:
     (6, 2)
     """
 
-    model: Kernel
+    kernel: Kernel
     parameters: Floats | None
     t: Floats
     y: Floats
@@ -112,20 +114,30 @@ class Trajectory:
     directions: Directions | None = None
     steps: KeptSteps | None = None
 
+    model = RegisteredAttribute()
+    save = Registered[[str | Path], Path]()
+    plot = Registered[..., Figure]()
+    plot_paths = Registered[..., Figure]()
+    animate = Registered[..., FuncAnimation]()
+    report = Registered[..., Page]()
+    to_dataframe = Registered[[], DataFrame]()
+    to_xarray = Registered[[], Dataset]()
+    _repr_html_ = Registered[[], str]()
+
     @property
     def q(self) -> Floats:
         """Generalized coordinates, shape (n_q, n_t)."""
-        return self.y[: self.model.n_q]
+        return self.y[: self.kernel.n_q]
 
     @property
     def u(self) -> Floats:
         """Generalized speeds, shape (n_u, n_t)."""
-        return self.y[self.model.n_q : self.model.n_q + self.model.n_u]
+        return self.y[self.kernel.n_q : self.kernel.n_q + self.kernel.n_u]
 
     @property
     def z(self) -> Floats:
         """Auxiliary states, shape (n_z, n_t)."""
-        return self.y[self.model.n_q + self.model.n_u :]
+        return self.y[self.kernel.n_q + self.kernel.n_u :]
 
     def __getitem__(self, name: Any) -> Floats:
         """A quantity over time, by its name or SymPy symbol.
@@ -140,7 +152,7 @@ class Trajectory:
         ModelError
             If there is no such quantity. The message lists the names.
         """
-        model, key = self.model, name_of(name)
+        model, key = self.kernel, name_of(name)
         for names, rows in ((model.states, "y"), (model.inputs, "r"), (model.outputs, "outputs")):
             if key in names:
                 values: Floats = getattr(self, rows)[names.index(key)]
@@ -155,11 +167,11 @@ class Trajectory:
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
 
     def _ipython_key_completions_(self) -> list[str]:
-        return list(dict.fromkeys((*self.columns(), *self.model.points, *self.vectors)))
+        return list(dict.fromkeys((*self.columns(), *self.kernel.points, *self.vectors)))
 
     @cached_property
     def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
-        return self.model.along(self.t, self.y, self.r, self.parameters)
+        return self.kernel.along(self.t, self.y, self.r, self.parameters)
 
     @property
     def constraint_residual(self) -> Floats:
@@ -168,12 +180,12 @@ class Trajectory:
         Phi of the position constraints, n_h rows; then J u + b of the nonholonomic constraints.
         """
         positions, velocities, *_ = self._derived
-        return np.concatenate((positions, velocities[list(self.model.layout.constraints.velocity_rows)]))
+        return np.concatenate((positions, velocities[list(self.kernel.layout.constraints.velocity_rows)]))
 
     @property
     def residual_label(self) -> str:
         """The title of `constraint_residual` in plots and tables."""
-        return self.model.residual_label
+        return self.kernel.residual_label
 
     @property
     def velocity_residual(self) -> Floats:
@@ -187,11 +199,11 @@ class Trajectory:
         ``"momentum"`` (kg m/s); ``"angular_momentum"`` (about the fixed point) and ``"spin"`` (about the mass centre),
         kg m^2/s.
         """
-        return self.model.quantities_along(self.t, self.y, self.r, self.parameters)
+        return self.kernel.quantities_along(self.t, self.y, self.r, self.parameters)
 
     @cached_property
     def _drawing(self) -> list[Floats]:
-        return self.model.drawing_along(self.t, self.y, self.r, self.parameters)
+        return self.kernel.drawing_along(self.t, self.y, self.r, self.parameters)
 
     @property
     def points(self) -> dict[str, Floats]:
@@ -199,12 +211,12 @@ class Trajectory:
 
         Relative to the fixed point of the System, in its frame.
         """
-        return dict(zip(self.model.points, self._drawing[0], strict=False))  # those without names come last
+        return dict(zip(self.kernel.points, self._drawing[0], strict=False))  # those without names come last
 
     @cached_property
     def _motion(self) -> list[Floats]:
-        found = self.model.motion_along(self.t, self.y, self.r, self.parameters)
-        return found if self.model.layout.drawing.is_at_rest else [np.full_like(rows, np.nan) for rows in found]
+        found = self.kernel.motion_along(self.t, self.y, self.r, self.parameters)
+        return found if self.kernel.layout.drawing.is_at_rest else [np.full_like(rows, np.nan) for rows in found]
 
     @property
     def velocities(self) -> dict[str, Floats]:
@@ -214,7 +226,7 @@ class Trajectory:
         NaN at singular positions, since they are evaluated together with accelerations; and where positions are
         relative to a point that moves, such as a wheel's contact point.
         """
-        return dict(zip(self.model.points, self._motion[0], strict=False))
+        return dict(zip(self.kernel.points, self._motion[0], strict=False))
 
     @property
     def accelerations(self) -> dict[str, Floats]:
@@ -222,7 +234,7 @@ class Trajectory:
 
         In the System's frame; NaN where `velocities` are.
         """
-        return dict(zip(self.model.points, self._motion[1], strict=False))
+        return dict(zip(self.kernel.points, self._motion[1], strict=False))
 
     @property
     def forces(self) -> dict[str, Floats]:
@@ -230,7 +242,7 @@ class Trajectory:
 
         In the frame of the System; the sum of the loads at the point that depend on an input.
         """
-        return dict(zip(self.model.forced_points, self._drawing[1], strict=True))
+        return dict(zip(self.kernel.forced_points, self._drawing[1], strict=True))
 
     @property
     def kinetic_energy(self) -> Floats:
@@ -252,7 +264,7 @@ class Trajectory:
     @property
     def energy_without(self) -> tuple[str, ...]:
         """Springs that the potential energy leaves out, since no antiderivative of their force was found."""
-        return self.model.energy_without
+        return self.kernel.energy_without
 
     @property
     def multipliers(self) -> Floats:
@@ -301,7 +313,7 @@ class Trajectory:
             raise ModelError("The run has no states.")
         times = sample_times(times, self.t[0], self.t[-1], "times")
         held = self.settings.get("held", ())
-        ode, prescribed = along(self.model, self.parameters, self.t, self.r, self.inputs, held)
+        ode, prescribed = along(self.kernel, self.parameters, self.t, self.r, self.inputs, held)
         stored, places = np.unique(self.t, return_index=True)  # an event at the start is stored in addition to it
         if self.sol is not None:
             states = np.asarray(self.sol(times))
@@ -312,7 +324,7 @@ class Trajectory:
         else:
             rates = _rates(ode, stored, self.y.T[places])
             states = _hermite(stored, self.y[:, places], rates, times)
-            _warn_of_gaps(self.model.states, ode, stored, self.y[:, places], rates)
+            _warn_of_gaps(self.kernel.states, ode, stored, self.y[:, places], rates)
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         r = ode.inputs_along(times, states)
@@ -334,7 +346,7 @@ class Trajectory:
             raise ModelError("The run has no sensitivities: simulate(..., sensitivities=[...]) finds them.")
         of_states = np.concatenate([part.reshape(-1, *self.y.shape) for part in self.sensitivity.values()])
         found = output_sensitivity(
-            self.model,
+            self.kernel,
             self.t,
             self.y,
             self.r,
@@ -404,7 +416,7 @@ class Trajectory:
         (kg m/s), ``angular_momentum_x``, ``spin_x`` (kg m^2/s), ... A state, input or output with one of these names
         takes precedence.
         """
-        model = self.model
+        model = self.kernel
         columns = {"t": self.t, **dict(zip(model.states, self.y, strict=True))}
         columns.update(zip(model.inputs, self.r, strict=True))
         columns.update(zip(model.outputs, self.outputs, strict=True))
@@ -417,216 +429,10 @@ class Trajectory:
             derived.update(zip(vector.components, self.vectors[vector.name], strict=True))
         return {**columns, **{name: row for name, row in derived.items() if name not in columns}}
 
-    def to_dataframe(self) -> pandas.DataFrame:
-        """The trajectory as a pandas DataFrame; needs the extra ``data``.
-
-        Returns
-        -------
-        pandas.DataFrame
-            A row for each time, which is the index ``t`` (s), and a column for each other entry of `columns`.
-
-        Raises
-        ------
-        ModelError
-            If pandas is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> frame = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0]).to_dataframe()
-        >>> frame["q1"].loc[0.5].round(4), frame.index.name
-        (np.float64(-1.3096), 't')
-        """
-        from fourbar_codegen.presentation.storage import to_dataframe
-
-        return to_dataframe(self)
-
-    def to_xarray(self) -> xarray.Dataset:
-        """The trajectory as an xarray Dataset; needs the extra ``data``.
-
-        Returns
-        -------
-        xarray.Dataset
-            Over ``time`` (s) a variable for each coordinate, speed, input and output; residuals, multipliers, energies
-            (J), momenta, positions of points (m) and forces that depend on inputs (N). The attributes contain the
-            information to repeat the run: model and fingerprint, parameters, settings and versions, the latter three as
-            JSON; and how the run ended. A state, input or output that is called ``position``, for example, takes the
-            place of the positions.
-
-        Raises
-        ------
-        ModelError
-            If xarray is not installed, or a state, input or output has the name of a coordinate, such as ``time``.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> dataset = fb.load("four_bar").simulate((0.0, 1.0), t_eval=[0.0, 0.5, 1.0]).to_xarray()
-        >>> dataset["q1"].sel(time=0.5).shape, dataset["position"].dims
-        ((), ('point', 'axis', 'time'))
-        """
-        from fourbar_codegen.presentation.storage import to_dataset
-
-        return to_dataset(self)
-
-    def save(self, path: str | Path) -> Path:
-        """Write the trajectory to a file.
-
-        Parameters
-        ----------
-        path : str or Path
-            The suffix selects the format: ``.csv`` (a row for each time, all digits: `columns`, and positions of
-            points, with the units of energies, momenta and positions in brackets), ``.npz`` (NumPy, an array for
-            each name), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.html`` (interactive report),
-            ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); the last three need the extra ``visual``, ``.mp4`` also
-            FFmpeg. Missing folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an
-            existing file is not changed.
-
-        Returns
-        -------
-        Path
-
-        Raises
-        ------
-        ModelError
-            If this is no path, the suffix is unknown, the file cannot be written, or a required package is missing.
-        """
-        return save(path, self, WRITERS, "A trajectory")
-
-    def animate(self, *, fps: float = 30.0, speed: float = 1.0, traces: Sequence[str] | None = None) -> FuncAnimation:
-        """Animate the mechanism with Matplotlib; needs the extra ``visual``.
-
-        A link is the line through the points that are fixed on it, or the polygon about them; pins are where links
-        meet, and the ground where they meet points at rest. Arrows are forces that depend on inputs.
-
-        Parameters
-        ----------
-        fps : float, optional
-            Frames per second.
-        speed : float, optional
-            Simulated seconds per second of the animation.
-        traces : sequence of str, optional
-            Names of points with a trace; by default the moving joints, or the mass centres if there are none.
-
-        Returns
-        -------
-        matplotlib.animation.FuncAnimation
-            `save` writes it as GIF or MP4. In a notebook, prefer `report`: the buttons of Matplotlib's ``to_jshtml()``
-            need a network.
-
-        Raises
-        ------
-        ModelError
-            If the extra is not installed, the point of a trace does not exist, or no positions are known.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
-        >>> animation = run.animate(traces=["P2"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import animate
-
-        return animate(self, fps=fps, speed=speed, traces=traces)
-
-    def report(self, *, height: int = 900) -> Page:
-        """The interactive report in a notebook: the moving mechanism, traces, plots and a table of the run.
-
-        The same page as ``save("run.html")``; it needs no network, no extra and no running kernel.
-
-        Parameters
-        ----------
-        height : int, optional
-            Height in the notebook, pixels.
-
-        Returns
-        -------
-        Page
-            Displayed if it is the last expression of a cell.
-
-        Raises
-        ------
-        ModelError
-            If height is not a positive integer, or there is nothing to show: no points with known positions, or no
-            states.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> fb.load("four_bar").simulate((0.0, 1.0)).report()
-        <Report of four_bar, 900 pixels high>
-        """
-        from fourbar_codegen.presentation.report import report_text
-
-        if not is_integer(height) or height < 1:
-            raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
-        return Page(f"Report of {self.model.name}", report_text(self), int(height))
-
-    def plot(self, names: str | Sequence[Any] = ()) -> Figure:
-        """Plot states, inputs, outputs (such as joint forces), energy, multipliers and constraint violation over time.
-
-        One panel for each; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        names : str or sequence of str, optional
-            Plot only these quantities, each in a panel: names that ``run[name]`` takes.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If there is no such quantity, or Matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
-        >>> figure = run.plot(["q1", "energy"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_trajectory
-
-        return plot_trajectory(self, names)
-
-    def plot_paths(self, points: Sequence[str] = ()) -> Figure:
-        """Draw the paths of points, such as coupler curves, and the initial mechanism; needs the extra ``visual``.
-
-        Parameters
-        ----------
-        points : sequence of str, optional
-            Names of the points; by default the moving joints, or the mass centres if there are none.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-
-        Raises
-        ------
-        ModelError
-            If a point does not exist, there is nothing to draw, or Matplotlib is not installed.
-
-        Examples
-        --------
-        >>> import fourbar_codegen as fb
-        >>> run = fb.load("four_bar").simulate((0.0, 1.0))
-        >>> figure = run.plot_paths(["link3_masscenter"])  # doctest: +SKIP
-        """
-        from fourbar_codegen.presentation.figures import plot_paths
-
-        return plot_paths(self, points)
-
     def __repr__(self) -> str:
-        n, name = len(self.t), self.model.name
+        n, name = len(self.t), self.kernel.name
         span = f"{self.t[0]:g} s to {self.t[-1]:g} s, {n} states" if n else "no states"
         return f"<Trajectory of {name}: {span}, {self.nfev} evaluations; {self.message}>"
-
-    def _repr_html_(self) -> str:
-        from fourbar_codegen.presentation.report import run_rows
-
-        return table("Trajectory", (), run_rows(self))
 
 
 def _rates(ode: Any, t: Floats, y: Floats) -> Floats:
@@ -685,57 +491,3 @@ def make_trajectory(**attributes: Any) -> Trajectory:
     trajectory = Trajectory.__new__(Trajectory)
     object.__setattr__(trajectory, "__dict__", attributes)
     return trajectory
-
-
-def _write_csv(trajectory: Trajectory, file: IO[bytes]) -> None:
-    model, columns = trajectory.model, trajectory.columns()
-    own = {*model.states, *model.inputs, *model.outputs}
-    units = dict.fromkeys(("kinetic_energy", "potential_energy", "energy"), "J")
-    units |= {name: vector.unit for vector in VECTORS for name in vector.components}
-    for point, rows in trajectory.points.items():
-        position = dict(zip((f"{point}.{axis}" for axis in "xyz"), rows, strict=True))
-        columns |= {name: row for name, row in position.items() if name not in columns}
-        units |= dict.fromkeys(position, "m")
-    titles = {name: f"{model.title(name)} [{unit}]" for name, unit in units.items() if name not in own}
-    taken = {*columns}  # a state that is called "energy [J]"
-    titles = {name: title for name, title in titles.items() if title not in taken}
-    write_csv({titles.get(name, model.title(name)): column for name, column in columns.items()}, file)
-
-
-def _write_npz(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import attributes, write_npz
-
-    write_npz(trajectory.columns(), attributes(trajectory), file)
-
-
-def _write_netcdf(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.storage import to_dataset, write_dataset
-
-    write_dataset(to_dataset(trajectory), file)
-
-
-def _write_png(trajectory: Trajectory, file: IO[bytes]) -> None:
-    trajectory.plot().savefig(file, dpi=120, format="png")
-
-
-def _write_html(trajectory: Trajectory, file: IO[bytes]) -> None:
-    from fourbar_codegen.presentation.report import report_text
-
-    file.write(report_text(trajectory).encode("utf-8"))
-
-
-def _write_animation(trajectory: Trajectory, file: IO[bytes], kind: str) -> None:
-    from fourbar_codegen.presentation.figures import write_animation
-
-    write_animation(trajectory, Path(file.name), kind)
-
-
-WRITERS: dict[str, Callable[[Trajectory, IO[bytes]], None]] = {
-    ".csv": _write_csv,
-    ".npz": _write_npz,
-    ".nc": _write_netcdf,
-    ".html": _write_html,
-    ".png": _write_png,
-    ".gif": partial(_write_animation, kind="gif"),
-    ".mp4": partial(_write_animation, kind="mp4"),
-}

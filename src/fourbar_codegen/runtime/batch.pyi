@@ -6,7 +6,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.roles import EventRow
+from fourbar_codegen.runtime.enumerations import EventRow
 from fourbar_codegen.runtime.evaluator import Evaluator
 
 Floats = NDArray[np.float64]

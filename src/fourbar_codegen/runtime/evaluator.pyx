@@ -226,7 +226,7 @@ cdef class Evaluator:
     # All threads share one set of buffers. A method first reads its arguments, which may run Python and switch
     # threads, then fills the buffers and calls the kernel without running Python in between.
 
-    def __cinit__(self, capsule, layout):
+    def __cinit__(self, capsule, layout, *further):  # subclasses may take more
         cdef const fb_kernel *kernel = _kernel_in(capsule)
         if (kernel.abi_version != FB_ABI_VERSION or kernel.struct_size != sizeof(fb_kernel)
                 or kernel.n_roles != FB_N_ROLES):
@@ -243,7 +243,7 @@ cdef class Evaluator:
         self.capsule, self.layout = capsule, layout
         for part in (<size_t>kernel.derivatives, <size_t>kernel.products):
             if part:
-                self._attach(part)
+                self.attach(part)
         self.n_q, self.n_u, self.n_p, self.n_r = kernel.n_q, kernel.n_u, kernel.n_p, kernel.n_r
         self.n_h, self.n_c, self.n_l, self.n_i, self.n_o = kernel.n_h, kernel.n_c, kernel.n_l, kernel.n_i, kernel.n_o
         self.n_z, self.n_x, self.states_need_solution = kernel.n_z, kernel.n_x, kernel.states_need_solution
@@ -294,7 +294,7 @@ cdef class Evaluator:
         """
         return "native" if self.kernel.one_machine else ("baseline", "avx2", "avx512")[self.kernel.instructions]
 
-    def _attach_batch_functions(self, size_t address):
+    def attach_batch_functions(self, size_t address):
         """Attach an ``fb_batch_functions`` that was built separately: functions for batches of states.
 
         Raises
@@ -306,7 +306,7 @@ cdef class Evaluator:
             raise _other_layout(self.layout)
         self.own.batch_functions = <const fb_batch_functions *>address
 
-    def _attach(self, size_t address):
+    def attach(self, size_t address):
         """Attach the functions of an ``fb_part``.
 
         Raises
@@ -321,7 +321,7 @@ cdef class Evaluator:
         """Attach the derivatives; a subclass that has their sources builds them."""
         raise ModelError("The derivatives are in a library of their own: attach it.")
 
-    def _attach_parts_of(self, Evaluator other not None):
+    def attach_parts_of(self, Evaluator other not None):
         """Attach the parts that another evaluator of the same kernel has."""
         memcpy(self.functions, other.functions, FB_N_ROLES * sizeof(fb_function))
 

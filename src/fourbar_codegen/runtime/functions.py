@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.roles import QUANTITIES, VECTORS, Role
+from fourbar_codegen.runtime.enumerations import QUANTITIES, VECTORS, Role
 from fourbar_codegen.runtime.evaluator import Evaluator
 
 __all__ = ["Functions"]

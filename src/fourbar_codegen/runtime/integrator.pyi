@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.layout import Layout
-from fourbar_codegen.roles import EventRow, Singular, StopReason
+from fourbar_codegen.runtime.enumerations import EventRow, Singular, StopReason
 from fourbar_codegen.runtime.functions import Functions, Values
 
 Floats = NDArray[np.float64]

@@ -17,7 +17,7 @@ from fourbar_codegen.runtime.evaluator cimport (
 import numpy as np
 
 from fourbar_codegen.errors import ModelError, SimulationError
-from fourbar_codegen.roles import Method, Singular, StopReason
+from fourbar_codegen.runtime.enumerations import Method, Singular, StopReason
 
 cnp.import_array()
 

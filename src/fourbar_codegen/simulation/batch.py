@@ -9,12 +9,24 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from fourbar_codegen.arguments import Values, is_integer, is_mapping, named, named_columns, numbers, one_of
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import Values, is_integer, is_mapping, named, named_columns, numbers, one_of
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.runtime.batch import Batch, Jacobians
 
-__all__ = ["BLOCK", "differentiate", "evaluate", "n_workers", "residual", "residual_sparsity"]
+__all__ = [
+    "BLOCK",
+    "differentiate",
+    "input_jacobian_batch",
+    "jacobian_batch",
+    "n_workers",
+    "parameter_jacobian_batch",
+    "residual",
+    "residual_batch",
+    "residual_jacobian_batch",
+    "residual_sparsity",
+    "rhs_batch",
+]
 
 Floats = NDArray[np.float64]
 
@@ -22,17 +34,52 @@ BLOCK = 1024
 """Number of states in a task of a thread, and of members in a task of a process."""
 
 
-def evaluate(
+def rhs_batch(
     model: Kernel,
     t: ArrayLike,
     x: ArrayLike,
-    p: Values | None,
-    r: Values | None,
+    p: Values | None = None,
+    r: Values | None = None,
     *,
-    out: Floats | None,
-    workers: int | None,
+    out: Floats | None = None,
+    workers: int | None = 1,
 ) -> Floats:
-    """The right-hand side at a batch of states; see `CompiledModel.rhs_batch`."""
+    """The right-hand side x' = f(t, x) at a batch of states, in SIMD lanes.
+
+    Parameters
+    ----------
+    t : float or array_like, shape (n,)
+    x : array_like, shape (n_x, n)
+        States in columns; or a mapping from names to arrays.
+    p : array_like, shape (n_p,) or (n_p, n), or mapping to numbers or arrays of length n, optional
+        Parameters; the defaults otherwise.
+    r : array_like, shape (n_r,) or (n_r, n), or mapping, optional
+        Inputs; their expressions otherwise.
+    out : ndarray, shape (n_x, n), optional
+        Array for the result: contiguous, without memory shared with the arguments; a new array otherwise.
+    workers : int or None, optional
+        Number of threads; None for one per core.
+
+    Returns
+    -------
+    ndarray, shape (n_x, n)
+        x', with NaN in the columns of states at which the equations cannot be evaluated. Results are bitwise
+        independent of the other states.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+    >>> four_bar.rhs_batch(0.0, states, {"k": np.linspace(1.0, 5.0, 1000)}).shape
+    (6, 1000)
+    """
     times, states, parameters, inputs = given = _arguments(model, t, x, p, r)
     if out is None:
         out = np.empty(states.shape)
@@ -48,6 +95,197 @@ def evaluate(
     model.require_batch_functions()
     _in_threads(Batch(model, times, states, parameters, inputs, out), states.shape[1], workers)
     return out
+
+
+def jacobian_batch(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    workers: int | None = 1,
+) -> Floats:
+    """The derivatives of the right-hand side with respect to the state, at a batch of states.
+
+    Parameters
+    ----------
+    t, x, p, r, workers
+        As for `rhs_batch`.
+
+    Returns
+    -------
+    ndarray, shape (n_x, n_x, n)
+        dx'/dx, with NaN for states at which the equations cannot be evaluated.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+    >>> four_bar.jacobian_batch(0.0, states).shape
+    (6, 6, 1000)
+    """
+    return differentiate(model, "state", t, x, p, r, outputs=False, workers=workers)[0]
+
+
+def parameter_jacobian_batch(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    workers: int | None = 1,
+) -> Floats:
+    """The derivatives of the right-hand side with respect to the parameters, at a batch of states.
+
+    Total derivatives, as `parameter_jacobian` has them; parameters, shape and errors are those of `jacobian_batch`.
+
+    Returns
+    -------
+    ndarray, shape (n_x, n_p, n)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+    >>> four_bar.parameter_jacobian_batch(0.0, states).shape
+    (6, 8, 1000)
+    """
+    return differentiate(model, "parameters", t, x, p, r, outputs=False, workers=workers)[0]
+
+
+def input_jacobian_batch(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    workers: int | None = 1,
+) -> Floats:
+    """The derivatives of the right-hand side with respect to the inputs, at a batch of states.
+
+    Parameters, shape and errors are those of `jacobian_batch`.
+
+    Returns
+    -------
+    ndarray, shape (n_x, n_r, n)
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> states = np.tile(four_bar.initial_state(), (1000, 1)).T
+    >>> four_bar.input_jacobian_batch(0.0, states).shape
+    (6, 1, 1000)
+    """
+    return differentiate(model, "inputs", t, x, p, r, outputs=False, workers=workers)[0]
+
+
+def residual_batch(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    rates: ArrayLike,
+    multipliers: ArrayLike | None = None,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    formulation: str = "index-3",
+    workers: int | None = 1,
+) -> Floats:
+    """The residual of the equations of motion at a batch of states, for direct collocation.
+
+    Its rows are q' - K u - k; M u' - f - J^T lambda; z' minus its expression; then for each constraint "index-3"
+    Phi, or J u + b if it is nonholonomic, and for "index-1" J u' + gamma; then the rows of unknown forces that
+    drive the motion. No matrix is inverted, so that singular positions and massless parts do no harm.
+
+    Parameters
+    ----------
+    t : float or array_like, shape (n,)
+    x, rates : array_like, shape (n_x, n)
+        States, and their rates x', such as differences between neighbours.
+    multipliers : array_like, shape (n_l, n), optional
+        Lagrange multipliers of the constraints, then unknown forces; may be left out if there are none.
+    p, r, workers
+        As for `rhs_batch`.
+    formulation : {"index-3", "index-1"}, optional
+
+    Returns
+    -------
+    ndarray, shape (n_x + n_l, n)
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name.
+
+    Source: J. T. Betts, *Practical Methods for Optimal Control and Estimation Using Nonlinear Programming*, 2nd
+    ed., SIAM 2010, chapter 4.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> x = four_bar.initial_state()
+    >>> rates, multipliers = four_bar.rhs(0.0, x), four_bar.multipliers(0.0, x)
+    >>> residual = four_bar.residual_batch(0.0, x[:, None], rates[:, None], multipliers[:, None])
+    >>> residual.shape, bool(np.abs(residual).max() < 1e-12)
+    ((8, 1), True)
+    """
+    found = residual(model, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers)
+    return found["residual"]
+
+
+def residual_jacobian_batch(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike,
+    rates: ArrayLike,
+    multipliers: ArrayLike | None = None,
+    p: Values | None = None,
+    r: Values | None = None,
+    *,
+    formulation: str = "index-3",
+    wrt: Sequence[str] = ("x", "rates", "multipliers", "p", "r"),
+    workers: int | None = 1,
+) -> dict[str, Floats]:
+    """The Jacobians of `residual_batch`, which has the same other parameters and errors.
+
+    `residual_sparsity` tells which entries are always 0.
+
+    Parameters
+    ----------
+    wrt : sequence of {"x", "rates", "multipliers", "p", "r"}, optional
+        What to differentiate with respect to; by default all, of which parameters take most of the time.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (n_x + n_l, m, n)
+        By each of `wrt`; by "p" also through inputs whose expressions are in force.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> x = four_bar.initial_state()[:, None]
+    >>> found = four_bar.residual_jacobian_batch(0.0, x, 0.0 * x, [[1.0], [2.0]])
+    >>> {name: jacobian.shape for name, jacobian in found.items()}
+    {'x': (8, 6, 1), 'rates': (8, 6, 1), 'multipliers': (8, 2, 1), 'p': (8, 8, 1), 'r': (8, 1, 1)}
+    """
+    return residual(model, t, x, rates, multipliers, p, r, formulation=formulation, workers=workers, wrt=wrt)
 
 
 def differentiate(
@@ -125,8 +363,29 @@ def residual(
     return {name: by[name] for name in names}
 
 
-def residual_sparsity(model: Kernel, formulation: str) -> dict[str, NDArray[np.bool_]]:
-    """Which entries of the residual's Jacobians may differ from 0; see `CompiledModel.residual_sparsity`."""
+def residual_sparsity(model: Kernel, formulation: str = "index-3") -> dict[str, NDArray[np.bool_]]:
+    """Which entries of the Jacobians of `residual_batch` may differ from 0.
+
+    Parameters
+    ----------
+    formulation : {"index-3", "index-1"}, optional
+
+    Returns
+    -------
+    dict of str to ndarray of bool, shape (n_x + n_l, m)
+        By the names of `residual_jacobian_batch`.
+
+    Raises
+    ------
+    ModelError
+        If there is no such formulation.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> fb.load("four_bar").residual_sparsity()["r"].ravel().tolist()  # a force on two links
+    [False, False, False, True, True, False, False, False]
+    """
     one_of(formulation, ("index-1", "index-3"), "formulation")
     n_q, n_u, n_z, n_x, n_c, n_l = model.n_q, model.n_u, model.n_z, model.n_x, model.n_c, model.n_l
     n_p, n_r = model.n_p, model.n_r

@@ -8,30 +8,31 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import initial_state
-from fourbar_codegen.arguments import flag, is_mapping, name_of, named_columns, numbers, one_of
 from fourbar_codegen.errors import AssemblyError, FourbarError, ModelError, shown
+from fourbar_codegen.interface.arguments import flag, is_mapping, name_of, named_columns, numbers
+from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.kernel.consistency import is_rounded, projects
-from fourbar_codegen.kernel.inputs import bind, by_member, by_name, input_sources, inputs_of, is_by_member
+from fourbar_codegen.kernel.discontinuities import boundary, discontinuities
+from fourbar_codegen.kernel.inputs import InputSource, bind, by_member, by_name, input_sources, inputs_of, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.progress import QUIET_SECONDS
 from fourbar_codegen.results.ensemble import Ensemble
-from fourbar_codegen.roles import METHODS
 from fourbar_codegen.runtime import batch
 from fourbar_codegen.runtime.batch import Members, width
+from fourbar_codegen.runtime.enumerations import METHODS
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
-from fourbar_codegen.simulation.discontinuities import boundary, discontinuities
-from fourbar_codegen.simulation.events import Event, event_rows, touched
+from fourbar_codegen.simulation.events import Event, EventLike, event_rows, touched
 from fourbar_codegen.simulation.integrate import REACHED_END, TERMINATED
-from fourbar_codegen.simulation.options import IN_C, RunOptions
-from fourbar_codegen.simulation.simulate import simulate
+from fourbar_codegen.simulation.methods import IN_C, Method
+from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.simulate import run
 
-__all__ = ["run"]
+__all__ = ["ensemble"]
 
 Floats = NDArray[np.float64]
 
@@ -39,23 +40,86 @@ PAUSE = 0.05
 """Seconds between two updates of the progress bar."""
 
 
-def run(
+def ensemble(
     model: Kernel,
-    x0: Any,
-    parameters: Any,
-    inputs: Any,
+    t_span: Sequence[float],
+    x0: ArrayLike | Mapping[Any, ArrayLike] | None = None,
     *,
-    workers: int | None,
-    parallel: Any,
-    progress: bool,
-    **given: Any,
+    method: str | Method = "DOP853",
+    parameters: ArrayLike | Mapping[Any, ArrayLike] | None = None,
+    inputs: Mapping[Any, InputSource | Floats] | None = None,
+    t_eval: ArrayLike | None = None,
+    events: EventLike | Sequence[EventLike] | None = None,
+    rtol: float | None = None,
+    atol: float | ArrayLike | None = None,
+    constraints: str = "project",
+    max_step: float | None = None,
+    max_steps: int | Literal["auto"] | None = "auto",
+    workers: int | None = None,
+    parallel: Any = None,
+    progress: bool = True,
 ) -> Ensemble:
-    """Simulate many members; see `CompiledModel.ensemble`."""
-    one_of(given["method"], IN_C, "method for ensembles")
-    projects(model, given["constraints"])  # "baumgarte" is allowed for single runs only
-    options = RunOptions.of(model, **given)
+    """Simulate many members over the same time span, in SIMD lanes and on all cores.
+
+    Models with redundant or with many constraints run one member at a time on each core.
+
+    Parameters
+    ----------
+    t_span : (float, float)
+        First and last time, s.
+    x0 : array_like, shape (n_x,) or (n, n_x), or mapping, optional
+        One initial state for all members, or one for each; in a mapping, numbers or arrays of length n. By default,
+        `initial_state` is solved for each set of parameters.
+    method : {"DOP853", "RK45", "Tsit5", "Radau", "ALI3P"}, or an object of these names, optional
+        Radau and ALI3P run one member at a time on each core.
+    parameters : array_like, shape (n_p,) or (n, n_p), or mapping, optional
+        Likewise; the defaults otherwise.
+    inputs : mapping of input to source, optional
+        As for `simulate`, or an array of shape (n,) with a number for each member. With callables, members run
+        one after another.
+    t_eval : array_like, optional
+        Times at which to store the states; by default the first and the last one.
+    events : str, callable, `Event`, or list of these, optional
+        As for `simulate`. A terminal event ends its member alone.
+    rtol, atol, constraints, max_step, max_steps
+        As for `simulate`.
+    workers : int, optional
+        Number of threads; by default one per core.
+    parallel : joblib.Parallel, optional
+        An engine that runs blocks of members in place of threads, with any backend: in processes, or on a cluster.
+        A worker that does not find the compiled model builds it from its sources, once on each node.
+    progress : bool, optional
+        Whether to show a progress bar on a terminal if the simulation takes longer than a second.
+
+    Returns
+    -------
+    Ensemble
+        A member that fails is marked; the others continue. Results are bitwise independent of the batch and of the
+        number of threads. They agree with `simulate` up to rounding errors, which kinks of an input or nearby
+        singular positions can amplify.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite.
+    AssemblyError
+        If `x0` is left out and the loops of a member do not close.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> ensemble = fb.load("four_bar").ensemble((0.0, 4.0), parameters={"k": np.linspace(2.0, 4.0, 100)})
+    >>> ensemble.success.all(), ensemble["q1"].shape
+    (np.True_, (100, 2))
+    """
+    options = RunOptions.of(
+        model, t_span, method=method, allowed=IN_C, t_eval=t_eval, events=events, rtol=rtol, atol=atol,
+        constraints=constraints, max_step=max_step, max_steps=max_steps,
+    )  # fmt: skip
+    projects(model, constraints)  # "baumgarte" is allowed for single runs only
     if options.t_eval is None:
-        options = options._replace(t_eval=np.array(options.t_span))
+        options = replace(options, t_eval=np.array(options.t_span))
     assert options.t_eval is not None
     workers = n_workers(workers)
     shows_bar = flag(progress, "progress")
@@ -73,7 +137,7 @@ def run(
     with tqdm(total=n, desc=model.name, unit="run", delay=QUIET_SECONDS, disable=None if shows_bar else True) as bar:
         found = _on_threads(runs, workers, bar) if parallel is None or not n else _on_engine(runs, parallel, bar)
     return Ensemble(
-        model=model, t=options.t_eval, y=found.y, n_events=None if options.events is None else len(options.events),
+        kernel=model, t=options.t_eval, y=found.y, n_events=None if options.events is None else len(options.events),
         events=found.events, status=found.status, messages=tuple(found.messages), nfev=found.nfev, parameters=p,
         inputs=inputs, settings=options.settings(),
     )  # fmt: skip
@@ -168,10 +232,9 @@ class _Runs:
     parameters: Floats
     inputs: Mapping[Any, Any]
 
-    def of(self, member: int) -> RunOptions:
-        """The options of a member."""
-        inputs = inputs_of(self.inputs, member)
-        return self.options._replace(x0=self.states[member], parameters=self.parameters[member], inputs=inputs)
+    def of(self, member: int) -> RunStart:
+        """What a member starts from."""
+        return RunStart(self.states[member], self.parameters[member], inputs_of(self.inputs, member), {})
 
     def block(self, members: slice) -> _Runs:
         """Some of the members."""
@@ -194,9 +257,11 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
         if stopped.is_set():
             raise _StoppedError
 
+    silent = replace(options, progress=check)
+
     def alone(member: int) -> None:
         try:
-            found = simulate(model, runs.of(member)._replace(progress=check))
+            found = run(model, silent, runs.of(member))
         except FourbarError as error:
             messages[member] = str(error)
             return

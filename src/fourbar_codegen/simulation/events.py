@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import finite_number, is_integer, name_of, of_time_and_state
 from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import finite_number, is_integer, name_of, of_time_and_state
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.roles import QUANTITIES, EventRow, Role, Watched
+from fourbar_codegen.runtime.enumerations import QUANTITIES, EventRow, Role, Watched
 from fourbar_codegen.runtime.integrator import Run
 
 SPACING = 0.01

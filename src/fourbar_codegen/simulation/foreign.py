@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DenseOutput
 
-from fourbar_codegen.arguments import numbers
+from fourbar_codegen import solvers
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.roles import StopReason
+from fourbar_codegen.interface.arguments import numbers
+from fourbar_codegen.runtime.enumerations import StopReason
 from fourbar_codegen.runtime.integrator import Ode, Run, check_within, steps_at
-from fourbar_codegen.simulation import solvers
 
 __all__ = ["ForeignMethod"]
 

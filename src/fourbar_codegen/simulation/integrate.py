@@ -12,16 +12,17 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import SimulationError
 from fourbar_codegen.kernel.consistency import consistent, left
+from fourbar_codegen.kernel.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.kernel.inputs import bind
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
-from fourbar_codegen.roles import STIFF, StopReason, Watched
+from fourbar_codegen.runtime.enumerations import STIFF, StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
-from fourbar_codegen.simulation.discontinuities import Pieces, discontinuities, snapped
 from fourbar_codegen.simulation.events import Watch, watched_quantity
-from fourbar_codegen.simulation.options import FIXED_STEP, SOLVERS, RunOptions
+from fourbar_codegen.simulation.methods import FIXED_STEP, SOLVERS
+from fourbar_codegen.simulation.options import RunOptions, RunStart
 from fourbar_codegen.simulation.singularity import singular_message
 
 if TYPE_CHECKING:
@@ -92,6 +93,8 @@ def integrate(
     ode: Ode,
     x0: Floats,
     options: RunOptions,
+    start: RunStart,
+    *,
     progress: Callable[[float], object] | None,
     directions: Directions | None = None,
 ) -> Trajectory:
@@ -104,6 +107,7 @@ def integrate(
         The right-hand side; for exclusive use during the run.
     x0 : ndarray, shape (n_x,)
     options : RunOptions
+    start : RunStart
     progress : callable of the time, or None
     directions : Directions, optional
         Of sensitivities, at the beginning.
@@ -112,7 +116,7 @@ def integrate(
     -------
     Trajectory
     """
-    integration = _Integration(model, ode, x0, options, directions)
+    integration = _Integration(model, ode, x0, options, start, directions)
     integration.go(progress)
     return integration.trajectory()
 
@@ -131,11 +135,13 @@ class _Integration:
 
     __slots__ = (
         "dense", "differentiates", "directions", "examined", "foreign", "message", "model", "ode", "options",
-        "pieces", "run", "samples", "singular", "status", "t_eval", "watch",
+        "pieces", "run", "samples", "singular", "start", "status", "t_eval", "watch",
     )  # fmt: skip
 
-    def __init__(self, model: Kernel, ode: Ode, x0: Floats, options: RunOptions, directions: Directions | None) -> None:
-        self.model, self.ode, self.options, self.directions = model, ode, options, directions
+    def __init__(
+        self, model: Kernel, ode: Ode, x0: Floats, options: RunOptions, start: RunStart, directions: Directions | None
+    ) -> None:
+        self.model, self.ode, self.options, self.start, self.directions = model, ode, options, start, directions
         self.differentiates = options.gradient or directions is not None
         self.status: int | None = None
         self.message = self.singular = ""
@@ -149,7 +155,7 @@ class _Integration:
         self.foreign = self._foreign_method() if options.method in SOLVERS else None
         self.run = run = self._make_run(x0)
         run.begin()
-        others = _other_values(model, options, directions) if later else {}
+        others = _other_values(model, options.gradient, start, directions) if later else {}
         self.pieces = Pieces(ode, options.t_span, later, others) if later else None
         if self.pieces:
             self.pieces.begin(run)
@@ -166,7 +172,7 @@ class _Integration:
         return ForeignMethod(self.ode, options.method, given)
 
     def _make_run(self, x0: Floats) -> Run:
-        options, watch = self.options, self.watch
+        options, start, watch = self.options, self.start, self.watch
         begin, end = options.t_span
         # ALI3P satisfies the position constraints by itself, with or without projection.
         closes = options.project or options.method == FIXED_STEP
@@ -187,8 +193,8 @@ class _Integration:
         varied = self.directions
         if options.gradient:
             run.keep_steps()
-            locked = locked_parameters(self.model, [(begin, run.x)], options.parameters, options.inputs)
-            varied = with_probes(self.model, varied, options.parameters, options.inputs, locked)
+            locked = locked_parameters(self.model, [(begin, run.x)], start.parameters, start.inputs)
+            varied = with_probes(self.model, varied, start.parameters, start.inputs, locked)
         if varied is not None:
             run.differentiate_along(varied)
         return run
@@ -273,7 +279,8 @@ class _Integration:
 
     def trajectory(self) -> Trajectory:
         """The run as a result."""
-        run, options, directions, ode, watch = self.run, self.options, self.directions, self.ode, self.watch
+        run, options, start, directions = self.run, self.options, self.start, self.directions
+        ode, watch = self.ode, self.watch
         t, y, input_times, n_eval = self._sampled()
         ode.clock = ALL_TIME  # from here on, its times are absolute
         status, message = self._final(y, input_times)
@@ -285,8 +292,8 @@ class _Integration:
             if t.size and status >= 0 and not np.isfinite(derivatives[..., -1]).all():
                 message += NOT_FINITE.format(t[np.flatnonzero(~np.isfinite(derivatives).all(axis=(0, 1)))[0]])
         return make_trajectory(
-            model=self.model,
-            parameters=options.parameters,
+            kernel=self.model,
+            parameters=start.parameters,
             t=t,
             y=y,
             r=ode.inputs_along(input_times, y),
@@ -299,9 +306,9 @@ class _Integration:
             status=status,
             success=status >= 0,
             message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
-            settings=options.settings(),
-            inputs=options.inputs or {},
-            event_sensitivity=_of_events(self.model, ode, watch, directions, options)
+            settings=options.settings(start.inputs),
+            inputs=start.inputs or {},
+            event_sensitivity=_of_events(self.model, ode, watch, directions, start)
             if watch and directions is not None
             else None,
             sensitivity=sensitivity,
@@ -333,7 +340,7 @@ class _Integration:
             if self.singular and self.differentiates:
                 message += NO_DERIVATIVE
         if options.project and model.layout.constraints.are_stated and status >= 0:
-            sentence = left(model, self.ode, input_times, y, options.parameters)
+            sentence = left(model, self.ode, input_times, y, self.start.parameters)
             status, message = (-1, sentence) if sentence else (status, message)
         end = (self.run.t, self.run.x) if self.status != 1 else (float(input_times[-1]), y[:, -1])
         message += self.watch.touched(self.run, options.t_span[0], end[0]) if self.watch else ""
@@ -344,44 +351,44 @@ class _Integration:
         return status, message
 
     def _kept_steps(self, times: Floats) -> KeptSteps:
-        options = self.options
+        options, start = self.options, self.start
         return KeptSteps(
             model=self.model,
             steps=self.run.steps_kept(times),
             t=options.t_span[0],
             n_t=times.size,
-            parameters=options.parameters,
-            inputs=options.inputs or {},
-            starts_from_x0=options.x0 is not None,
-            dx0=options.dx0,
+            parameters=start.parameters,
+            inputs=start.inputs or {},
+            starts_from_x0=start.x0 is not None,
+            dx0=start.dx0,
             unknown=frozenset(self.pieces.unknown if self.pieces else ()),
         )
 
 
-def _other_values(model: Kernel, options: RunOptions, directions: Directions | None) -> dict[str, Ode]:
+def _other_values(model: Kernel, gradient: bool, start: RunStart, directions: Directions | None) -> dict[str, Ode]:
     """For each parameter of derivatives of a model with jumps, the right-hand side with another value of it."""
     if not model.layout.breakpoints.n_motion_breakpoints:
         return {}
-    p = parameter_array(model, options.parameters)
-    names = model.parameters if options.gradient else directions.names if directions else ()
+    p = parameter_array(model, start.parameters)
+    names = model.parameters if gradient else directions.names if directions else ()
     found = {}
     for name in names:
         if name in model.parameters:
             place, other = model.parameters.index(name), p.copy()
             other[place] += abs(p[place]) or 1.0
-            found[name] = bind(model, other, options.inputs)
+            found[name] = bind(model, other, start.inputs)
     return found
 
 
 def _of_events(
-    model: Kernel, ode: Ode, watch: Watch, directions: Directions, options: RunOptions
+    model: Kernel, ode: Ode, watch: Watch, directions: Directions, start: RunStart
 ) -> list[dict[str, EventSensitivity]]:
     """The derivatives of times and states of events, by names.
 
     An event function g(t, x, p) = 0 holds: dt/dp = -(g_x S + g_p) / (dg/dt along the motion), and the state at that
     time changes by S + x' dt/dp.
     """
-    n, p, inputs = directions.matrix.shape[1], options.parameters, options.inputs or {}
+    n, p, inputs = directions.matrix.shape[1], start.parameters, start.inputs or {}
     found = []
     for place, event in enumerate(watch.events):
         times, states = watch.times[place], watch.states[place]

@@ -1,16 +1,18 @@
-"""RunOptions: the checked arguments of a run."""
+"""RunOptions and RunStart: the checked arguments of a run."""
 
 from __future__ import annotations
 
 import math
 import sys
 from collections.abc import Callable, Mapping
-from typing import Any, Literal, NamedTuple
+from dataclasses import dataclass
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.arguments import (
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import (
     flag,
     is_integer,
     is_mapping,
@@ -19,35 +21,22 @@ from fourbar_codegen.arguments import (
     named,
     named_array,
     numbers,
-    one_of,
     positive,
     sample_times,
     time_span,
     tolerance,
 )
-from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
-from fourbar_codegen.roles import METHODS, STEP_CONTROLLED, STIFF
+from fourbar_codegen.runtime.enumerations import METHODS
 from fourbar_codegen.simulation.events import Event, events_of
+from fourbar_codegen.simulation.methods import FIXED_STEP, IN_C, NAMES, SOLVERS, Method, name_and_options
 
-__all__ = ["FIXED_STEP", "IN_C", "SOLVERS", "RunOptions"]
+__all__ = ["RunOptions", "RunStart"]
 
 Floats = NDArray[np.float64]
-
-FIXED_STEP = "ALI3P"
-"""The method that passes singular positions, with a fixed step size; see ``steppers/ali3p.h``."""
-
-IN_C = (*STEP_CONTROLLED, FIXED_STEP)
-"""Methods that are entirely in C: those of ensembles."""
-
-SOLVERS = ("CVODE", "IDA")
-"""The others, of `fourbar_codegen.solvers`."""
-
-SCIPYS = {"RK23": "", "BDF": ", jac=ode.jac", "LSODA": ", jac=ode.jac"}
-"""Methods of SciPy alone, with their arguments in ``solve_ivp``."""
 
 STEPS = dict.fromkeys(IN_C, 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
 """Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
@@ -56,10 +45,9 @@ MARGIN = 10
 """... or this many times the number that max_step requires, if that is more."""
 
 
-class RunOptions(NamedTuple):
-    """The checked arguments of `CompiledModel.simulate`, which documents them; created by `of`.
-
-    A named tuple, because a frozen dataclass with this many fields takes a microsecond longer to create.
+@dataclass(frozen=True)
+class RunOptions:
+    """How runs are made, checked: the arguments of `CompiledModel.simulate` that many runs can have in common.
 
     Attributes
     ----------
@@ -68,10 +56,7 @@ class RunOptions(NamedTuple):
     """
 
     t_span: tuple[float, float]
-    x0: Floats | None
     method: str
-    parameters: Floats | None
-    inputs: Mapping[Any, Any] | None
     t_eval: Floats | None
     rtol: float | Floats
     atol: float | Floats
@@ -84,7 +69,6 @@ class RunOptions(NamedTuple):
     formulation: str | None
     progress: Callable[[float], object] | Literal[False] | None
     sensitivities: tuple[str, ...]
-    dx0: Mapping[str, Floats]
     gradient: bool
     project: bool
 
@@ -92,82 +76,69 @@ class RunOptions(NamedTuple):
     def of(
         cls,
         model: Kernel,
-        *,
         t_span: Any,
-        method: str,
-        rtol: Any,
-        atol: Any,
-        constraints: str,
-        max_step: float,
-        max_steps: Any,
-        x0: Any = None,
-        parameters: Any = None,
-        inputs: Any = None,
+        *,
+        method: str | Method,
+        allowed: tuple[str, ...] = NAMES,
+        tolerances: tuple[float, float] = (1e-6, 1e-9),
+        rtol: Any = None,
+        atol: Any = None,
         t_eval: Any = None,
         events: Any = None,
+        constraints: str = "project",
         stabilization: Any = 10.0,
         dense_output: bool = False,
+        max_step: float | None = None,
+        max_steps: Any = "auto",
         formulation: str | None = None,
         progress: Any = None,
         sensitivities: Any = (),
-        dx0: Any = None,
         gradient: bool = False,
     ) -> RunOptions:
         """Check the given arguments.
 
-        Ensembles omit the arguments that differ between members, or that they do not support: initial state,
-        parameters, inputs, and events, output and progress of a single run.
+        `allowed` are the names of methods, and `tolerances` the relative and absolute ones by default.
 
         Raises
         ------
         ModelError
-            If an argument has a wrong shape or name, is not finite, or is not supported by the method.
+            If an argument has a wrong shape or name, is not finite, is given twice, or is not supported by the method.
         """
-        if isinstance(method, str) and method in SCIPYS:
-            raise ModelError(
-                f"{method} is a method of SciPy, not of simulate: solve_ivp(ode, t_span, x0, "
-                f'method="{method}"{SCIPYS[method]}, rtol=..., atol=...) with ode = model.ode(parameters, inputs) '
-                f"integrates without closing loops. Methods are {', '.join(STEPS)}; "
-                f'method="{STIFF}" is for stiff equations.'
-            )
-        method = str(one_of(method, STEPS, "method"))
-        if not (formulation is None or method == "IDA"):
+        given = {
+            "rtol": rtol, "atol": atol, "max_step": max_step, "max_steps": max_steps, "formulation": formulation
+        }  # fmt: skip
+        method, own = name_and_options(method, given, allowed, "method" if allowed is NAMES else "method for ensembles")
+        if not (own["formulation"] is None or method == "IDA"):
             raise ModelError(f"A formulation is for IDA; {method} has none.")
         project = projects(model, constraints, stabilizes=method not in (FIXED_STEP, "IDA"))
         span = time_span(t_span)
         stabilization = positive(stabilization, "stabilization")
-        max_step = longest_step(max_step)
-        if method == FIXED_STEP and max_step == math.inf:
-            raise ModelError(f"{FIXED_STEP} has a fixed step size: give it as max_step.")
+        longest = math.inf if own["max_step"] is None else longest_step(own["max_step"])
+        if method == FIXED_STEP and longest == math.inf:
+            raise ModelError(f"{FIXED_STEP} has a fixed step size: give it, as {FIXED_STEP}(step=...) or as max_step.")
         if not (progress is None or progress is False or callable(progress)):
             raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
-        if inputs is not None:
-            inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
-        return cls(  # by position: keywords take twice as long
-            span,
-            None if x0 is None else named_array(x0, model.states, {}, "state"),
-            method,
-            model.parameter_vector(parameters),
-            inputs,
-            None if t_eval is None else sample_times(t_eval, *span),
-            tolerance(rtol, "rtol"),
-            tolerance(atol, "atol", model.n_x),
-            None if events is None else events_of(model, events),
-            constraints,
-            stabilization if constraints == "baumgarte" else None,
-            flag(dense_output, "dense_output"),
-            max_step,
-            _max_steps(max_steps, method, span, max_step),
-            formulation,
-            progress,
-            names := _sensitivities(sensitivities, gradient, method, constraints),
-            {} if dx0 is None else _start(model, dx0, x0, names or differentiable(model, inputs), inputs or {}),
-            flag(gradient, "gradient"),
-            project,
+        return cls(
+            t_span=span,
+            method=method,
+            t_eval=None if t_eval is None else sample_times(t_eval, *span),
+            rtol=tolerances[0] if own["rtol"] is None else tolerance(own["rtol"], "rtol"),
+            atol=tolerances[1] if own["atol"] is None else tolerance(own["atol"], "atol", model.n_x),
+            events=None if events is None else events_of(model, events),
+            constraints=constraints,
+            stabilization=stabilization if constraints == "baumgarte" else None,
+            dense_output=flag(dense_output, "dense_output"),
+            max_step=longest,
+            max_steps=_max_steps(own["max_steps"], method, span, longest),
+            formulation=own["formulation"],
+            progress=progress,
+            sensitivities=_sensitivities(sensitivities, gradient, method, constraints),
+            gradient=flag(gradient, "gradient"),
+            project=project,
         )
 
-    def settings(self) -> dict[str, Any]:
-        """The arguments that a result stores."""
+    def settings(self, inputs: Mapping[Any, Any] | None = None) -> dict[str, Any]:
+        """The arguments that a result stores, with the names of inputs that were held tables."""
         settings: dict[str, Any] = {
             "method": self.method,
             "t_span": self.t_span,
@@ -181,9 +152,45 @@ class RunOptions(NamedTuple):
             settings["max_step"] = self.max_step
         if self.formulation is not None:
             settings["formulation"] = self.formulation
-        if held := held_inputs(self.inputs):
+        if held := held_inputs(inputs):
             settings["held"] = held
         return settings
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """What a run starts from, checked: what differs between runs with the same options."""
+
+    x0: Floats | None
+    parameters: Floats | None
+    inputs: Mapping[Any, Any] | None
+    dx0: Mapping[str, Floats]
+
+    @classmethod
+    def of(
+        cls,
+        model: Kernel,
+        options: RunOptions,
+        x0: Any = None,
+        parameters: Any = None,
+        inputs: Any = None,
+        dx0: Any = None,
+    ) -> RunStart:
+        """Check the given arguments.
+
+        Raises
+        ------
+        ModelError
+            If an argument has a wrong shape or name, or is not finite.
+        """
+        if inputs is not None:
+            inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
+        derivatives = {}
+        if dx0 is not None:
+            names = options.sensitivities or differentiable(model, inputs)
+            derivatives = _derivatives(model, dx0, x0, names, inputs or {})
+        state = None if x0 is None else named_array(x0, model.states, {}, "state")
+        return cls(state, model.parameter_vector(parameters), inputs, derivatives)
 
 
 def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) -> tuple[str, ...]:
@@ -201,7 +208,9 @@ def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) ->
     return tuple(map(name_of, names))
 
 
-def _start(model: Kernel, given: Any, x0: Any, names: tuple[str, ...], inputs: Mapping[Any, Any]) -> dict[str, Floats]:
+def _derivatives(
+    model: Kernel, given: Any, x0: Any, names: tuple[str, ...], inputs: Mapping[Any, Any]
+) -> dict[str, Floats]:
     """The derivatives of an initial state, by names."""
     if x0 is None:
         raise ModelError("dx0 are the derivatives of x0, which is not given: leave both out, or give both.")

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.roles import Singular
+from fourbar_codegen.runtime.enumerations import Singular
 from fourbar_codegen.runtime.integrator import Run
 
 __all__ = ["singular_message"]

@@ -51,7 +51,7 @@ enum { FMU_ROOM = 16 };
 #define FMU_KIND "fourbar state 2"
 #define FMU_AT_LEAST_1(n) ((n) > 0 ? (n) : 1)
 
-/* The interval of `between`, in export/library.h. */
+/* The interval of `between`, in export/c_library.h. */
 void FB_PUBLIC(get_interval)(const struct FB_MODEL *model, double *interval);
 void FB_PUBLIC(set_interval)(struct FB_MODEL *model, const double *interval);
 

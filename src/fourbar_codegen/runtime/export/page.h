@@ -1,7 +1,7 @@
 /* A model as a module of WebAssembly, for pages in a browser: one mechanism, whose parameters, state and inputs
  * JavaScript writes into memory, and runs of it at given times.
  *
- * Included once, after kernel/kernel.h and the model's derivatives, in place of export/library.h, by a source that
+ * Included once, after kernel/kernel.h and the model's derivatives, in place of export/c_library.h, by a source that
  * defines what that needs, also FB_WITHOUT_HEADER, `velocity_rows` (N_VELOCITY_ROWS), and `fill_vectors` (N_VECTORS).
  * JavaScript provides the memory of times, states and rows, behind `__heap_base`.
  */
@@ -106,7 +106,7 @@ static double next_change(const double begin, const double end)
     return next;
 }
 
-#include "library.h"
+#include "c_library.h"
 
 #include "stiff_run.h"
 

@@ -14,7 +14,7 @@
 typedef char fb_stiff_work_is_enough[FB_RADAU_LENGTH(FB_PUBLIC(n_x)) <= FB_PUBLIC(stiff_work) ? 1 : -1];
 #endif
 
-/* In export/library.h. */
+/* In export/c_library.h. */
 int FB_PUBLIC(advance)(struct FB_MODEL *model, const fb_steps *steps, double h);
 int FB_PUBLIC(run)(struct FB_MODEL *model, const fb_steps *steps, double t_end, double rtol, double atol,
                    const double *times, long n_times, double *states, struct FB_EVENTS *events);

@@ -1,0 +1,388 @@
+"""CompiledModel: what users call of a compiled model, in one list."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from pathlib import Path
+from types import MethodType
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from weakref import WeakValueDictionary
+
+from fourbar_codegen.building.loading import kernel_of, load_named
+from fourbar_codegen.interface.methods import Registered
+from fourbar_codegen.interface.notebook import Page, names_table
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.layout import Json, Layout
+
+if TYPE_CHECKING:
+    from fourbar_codegen.analysis.branches import kinematics as _kinematics
+    from fourbar_codegen.analysis.equilibrium import equilibrium as _equilibrium
+    from fourbar_codegen.analysis.initial_state import initial_state as _initial_state
+    from fourbar_codegen.analysis.initial_state import initial_state_derivatives as _initial_state_derivatives
+    from fourbar_codegen.analysis.initial_state import initial_states as _initial_states
+    from fourbar_codegen.analysis.inverse_dynamics import inverse_dynamics as _inverse_dynamics
+    from fourbar_codegen.analysis.linearization import linearize as _linearize
+    from fourbar_codegen.analysis.linearization import state_space as _state_space
+    from fourbar_codegen.kernel.inputs import ode as _ode
+    from fourbar_codegen.results.samples import trajectory as _trajectory
+    from fourbar_codegen.simulation.batch import input_jacobian_batch as _input_jacobian_batch
+    from fourbar_codegen.simulation.batch import jacobian_batch as _jacobian_batch
+    from fourbar_codegen.simulation.batch import parameter_jacobian_batch as _parameter_jacobian_batch
+    from fourbar_codegen.simulation.batch import residual_batch as _residual_batch
+    from fourbar_codegen.simulation.batch import residual_jacobian_batch as _residual_jacobian_batch
+    from fourbar_codegen.simulation.batch import residual_sparsity as _residual_sparsity
+    from fourbar_codegen.simulation.batch import rhs_batch as _rhs_batch
+    from fourbar_codegen.simulation.ensemble_run import ensemble as _ensemble
+    from fourbar_codegen.simulation.simulate import runner as _runner
+    from fourbar_codegen.simulation.simulate import simulate as _simulate
+    from fourbar_codegen.simulation.simulate import stepper as _stepper
+
+    P = ParamSpec("P")
+    R = TypeVar("R")
+
+    def of_kernel(function: Callable[Concatenate[Kernel, P], R]) -> Callable[Concatenate[Any, P], R]:
+        """The type of a function of a kernel as a method of a model."""
+
+
+__all__ = ["CompiledModel", "facade_of", "load", "model_of"]
+
+
+class _Method:
+    """A function of a kernel as a method of a model: found when it is first asked for, and then an attribute.
+
+    So a call takes no longer than one of the function itself.
+    """
+
+    def __init__(self, module: str | None) -> None:
+        self._module = module
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, model: CompiledModel | None, owner: type | None = None) -> Callable[..., Any]:
+        home = Kernel if self._module is None else import_module(f"fourbar_codegen.{self._module}")
+        function: Callable[..., Any] = getattr(home, self._name)
+        if model is None:
+            return function
+        bound = getattr(model.kernel, self._name) if self._module is None else MethodType(function, model.kernel)
+        model.__dict__[self._name] = bound
+        return bound
+
+
+class CompiledModel:
+    """A mechanism's equations of motion, compiled.
+
+    Made by `compile_model` and `load`. Arguments are in the order (t, x, p, r): time, state x = [q; u; z],
+    parameters, inputs. Parameters and inputs are arrays, or mappings from names or SymPy symbols; mappings may
+    omit entries that have a default. Several threads may use one model at the same time.
+
+    Attributes
+    ----------
+    name : str
+    coordinates, speeds : tuple of str
+        Generalized coordinates and speeds, the independent ones first.
+    auxiliary_states : tuple of str
+        States with first-order differential equations of their own.
+    states : tuple of str
+        Coordinates, speeds and auxiliary states.
+    parameters, inputs, outputs : tuple of str
+    points : tuple of str
+        The points that are drawn: those with positions in the System, by their names there.
+    forced_points : tuple of str
+        Points at which forces act that depend on inputs.
+    defaults : dict of str to float or None
+        Parameter values; None if there is no default.
+    units, descriptions : dict of str to str
+        Of the parameters.
+    prescribed : tuple of str
+        Inputs that prescribe motions.
+    path : Path
+        The extension module, or the library of `compile_model`; an argument for `load`.
+    kernel : Kernel
+        The compiled functions. Its methods that are not methods here may change without notice.
+    layout : Layout
+        The description of the model: names, order, what depends on what.
+    n_q, n_u, n_z, n_x, n_p, n_r : int
+        Numbers of coordinates, speeds, auxiliary states, states, parameters and inputs.
+    n_h, n_c, n_l, n_o : int
+        Numbers of position constraints, of velocity constraints, of multipliers with unknown forces that drive the
+        motion, and of outputs.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> trajectory = four_bar.simulate((0.0, 1.0))
+    >>> trajectory.success
+    True
+    """
+
+    name: str
+    coordinates: tuple[str, ...]
+    speeds: tuple[str, ...]
+    auxiliary_states: tuple[str, ...]
+    states: tuple[str, ...]
+    parameters: tuple[str, ...]
+    inputs: tuple[str, ...]
+    prescribed: tuple[str, ...]
+    outputs: tuple[str, ...]
+    points: tuple[str, ...]
+    forced_points: tuple[str, ...]
+    defaults: Mapping[str, float | None]
+    units: dict[str, str]
+    descriptions: dict[str, str]
+    n_q: int
+    n_u: int
+    n_z: int
+    n_x: int
+    n_p: int
+    n_r: int
+    n_h: int
+    n_c: int
+    n_l: int
+    n_o: int
+
+    if TYPE_CHECKING:
+        rhs = of_kernel(Kernel.rhs)
+        jacobian = of_kernel(Kernel.jacobian)
+        parameter_jacobian = of_kernel(Kernel.parameter_jacobian)
+        input_jacobian = of_kernel(Kernel.input_jacobian)
+        output_jacobian = of_kernel(Kernel.output_jacobian)
+        output_parameter_jacobian = of_kernel(Kernel.output_parameter_jacobian)
+        output_input_jacobian = of_kernel(Kernel.output_input_jacobian)
+        jvp = of_kernel(Kernel.jvp)
+        vjp = of_kernel(Kernel.vjp)
+        mass_matrix = of_kernel(Kernel.mass_matrix)
+        forcing = of_kernel(Kernel.forcing)
+        tree_mass_matrix = of_kernel(Kernel.tree_mass_matrix)
+        tree_forcing = of_kernel(Kernel.tree_forcing)
+        position_constraints = of_kernel(Kernel.position_constraints)
+        velocity_constraints = of_kernel(Kernel.velocity_constraints)
+        constraint_jacobian = of_kernel(Kernel.constraint_jacobian)
+        multipliers = of_kernel(Kernel.multipliers)
+        output = of_kernel(Kernel.output)
+        positions = of_kernel(Kernel.positions)
+        kinetic_energy = of_kernel(Kernel.kinetic_energy)
+        potential_energy = of_kernel(Kernel.potential_energy)
+        momentum = of_kernel(Kernel.momentum)
+        require_derivatives = of_kernel(Kernel.require_derivatives)
+        require_products = of_kernel(Kernel.require_products)
+        require_batch_functions = of_kernel(Kernel.require_batch_functions)
+        ode = of_kernel(_ode)
+        initial_state = of_kernel(_initial_state)
+        initial_state_derivatives = of_kernel(_initial_state_derivatives)
+        initial_states = of_kernel(_initial_states)
+        kinematics = of_kernel(_kinematics)
+        inverse_dynamics = of_kernel(_inverse_dynamics)
+        linearize = of_kernel(_linearize)
+        state_space = of_kernel(_state_space)
+        equilibrium = of_kernel(_equilibrium)
+        simulate = of_kernel(_simulate)
+        runner = of_kernel(_runner)
+        trajectory = of_kernel(_trajectory)
+        ensemble = of_kernel(_ensemble)
+        stepper = of_kernel(_stepper)
+        rhs_batch = of_kernel(_rhs_batch)
+        jacobian_batch = of_kernel(_jacobian_batch)
+        parameter_jacobian_batch = of_kernel(_parameter_jacobian_batch)
+        input_jacobian_batch = of_kernel(_input_jacobian_batch)
+        residual_batch = of_kernel(_residual_batch)
+        residual_jacobian_batch = of_kernel(_residual_jacobian_batch)
+        residual_sparsity = of_kernel(_residual_sparsity)
+    else:
+        rhs = _Method(None)
+        jacobian = _Method(None)
+        parameter_jacobian = _Method(None)
+        input_jacobian = _Method(None)
+        output_jacobian = _Method(None)
+        output_parameter_jacobian = _Method(None)
+        output_input_jacobian = _Method(None)
+        jvp = _Method(None)
+        vjp = _Method(None)
+        mass_matrix = _Method(None)
+        forcing = _Method(None)
+        tree_mass_matrix = _Method(None)
+        tree_forcing = _Method(None)
+        position_constraints = _Method(None)
+        velocity_constraints = _Method(None)
+        constraint_jacobian = _Method(None)
+        multipliers = _Method(None)
+        output = _Method(None)
+        positions = _Method(None)
+        kinetic_energy = _Method(None)
+        potential_energy = _Method(None)
+        momentum = _Method(None)
+        require_derivatives = _Method(None)
+        require_products = _Method(None)
+        require_batch_functions = _Method(None)
+        ode = _Method("kernel.inputs")
+        initial_state = _Method("analysis.initial_state")
+        initial_state_derivatives = _Method("analysis.initial_state")
+        initial_states = _Method("analysis.initial_state")
+        kinematics = _Method("analysis.branches")
+        inverse_dynamics = _Method("analysis.inverse_dynamics")
+        linearize = _Method("analysis.linearization")
+        state_space = _Method("analysis.linearization")
+        equilibrium = _Method("analysis.equilibrium")
+        simulate = _Method("simulation.simulate")
+        runner = _Method("simulation.simulate")
+        trajectory = _Method("results.samples")
+        ensemble = _Method("simulation.ensemble_run")
+        stepper = _Method("simulation.simulate")
+        rhs_batch = _Method("simulation.batch")
+        jacobian_batch = _Method("simulation.batch")
+        parameter_jacobian_batch = _Method("simulation.batch")
+        input_jacobian_batch = _Method("simulation.batch")
+        residual_batch = _Method("simulation.batch")
+        residual_jacobian_batch = _Method("simulation.batch")
+        residual_sparsity = _Method("simulation.batch")
+
+    page = Registered[..., Page]()
+
+    def __init__(self, kernel: Kernel) -> None:
+        self.kernel = kernel
+        for name in CompiledModel.__annotations__:
+            setattr(self, name, getattr(kernel, name))
+
+    @property
+    def path(self) -> Path:
+        """The extension module, or the library of `compile_model`."""
+        return self.kernel.path
+
+    @property
+    def layout(self) -> Layout:
+        """The description of the model."""
+        return self.kernel.layout
+
+    @property
+    def manifest(self) -> dict[str, Json]:
+        """The layout as data that JSON can hold, as in the manifest.json of generated sources."""
+        return self.layout.to_json()
+
+    @property
+    def is_verified(self) -> bool:
+        """Whether the compiled equations of motion were compared with those that they were generated from.
+
+        That happens at random states, or at the initial values, right after compilation. It is false with
+        ``check=False``, where the equations have no real value at any of these states, and for the models that come
+        with the package, which are compiled without SymPy.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> fb.compile_model(fb.models.four_bar()).is_verified
+        True
+        >>> fb.load("four_bar").is_verified
+        False
+        """
+        return bool(self.layout.compared)
+
+    @property
+    def energy_without(self) -> tuple[str, ...]:
+        """Springs that the potential energy leaves out, since no antiderivative of their force was found.
+
+        Also loads that depend on coordinates, if the speeds are too few to tell whether they have a potential.
+        The energy of a run then changes by their work. Give ``potential_energy=`` to the Model to include them.
+        """
+        return self.kernel.energy_without
+
+    @property
+    def is_portable(self) -> bool:
+        """Whether it runs on other machines, and was not built for the processor of one machine."""
+        return self.kernel.is_portable
+
+    @property
+    def instructions(self) -> str:
+        """The instruction set: "native" for the processor of this machine; for a portable module "baseline", "avx2" or
+        "avx512", the best that the processor has.
+        """
+        return self.kernel.instructions
+
+    @property
+    def lacks_batch_functions(self) -> bool:
+        """Whether the functions for batches of states are not built or loaded yet."""
+        return self.kernel.lacks_batch_functions
+
+    @property
+    def lacks_derivatives(self) -> bool:
+        """Whether derivatives and data for drawings are not built or loaded yet."""
+        return self.kernel.lacks_derivatives
+
+    @property
+    def lacks_products(self) -> bool:
+        """Whether products of derivatives with vectors are not built or loaded yet."""
+        return self.kernel.lacks_products
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return facade_of, (self.kernel,)
+
+    def __repr__(self) -> str:
+        auxiliary = ", ".join(self.auxiliary_states)
+        return (
+            f"<{type(self).__name__} {self.name}: coordinates {', '.join(self.coordinates)}; "
+            f"speeds {', '.join(self.speeds)}; "
+            f"{f'auxiliary states {auxiliary}; ' if auxiliary else ''}"
+            f"parameters {', '.join(self.parameters) or 'none'}; inputs {', '.join(self.inputs) or 'none'}>"
+        )
+
+    def _repr_html_(self) -> str:
+        return names_table(
+            f"Compiled model {self.name}: {self.n_h} constraints on positions, {self.n_c} on velocities",
+            [
+                ("coordinate", self.coordinates, self.layout.n_dependent_coordinates),
+                ("speed", self.speeds, self.layout.n_dependent_speeds),
+                ("auxiliary state", self.auxiliary_states, 0),
+            ],
+            {name: (value, self.units[name], self.descriptions[name]) for name, value in self.defaults.items()},
+            {entry.name: entry.expression for entry in self.layout.inputs},
+            self.outputs,
+        )
+
+
+_MODELS: WeakValueDictionary[int, CompiledModel] = WeakValueDictionary()
+"""By the identity of their kernels, which they keep alive."""
+
+
+def facade_of(kernel: Kernel) -> CompiledModel:
+    """The model of a kernel: always the same one, as long as it is in use."""
+    model = _MODELS.get(id(kernel))
+    if model is None:
+        model = _MODELS[id(kernel)] = CompiledModel(kernel)
+    return model
+
+
+def model_of(result: Any) -> CompiledModel:
+    """The model of a result."""
+    return facade_of(result.kernel)
+
+
+def load(name: str | Path) -> CompiledModel:
+    """Load a compiled model; neither SymPy nor a compiler is needed.
+
+    (A library of `compile_model`, in the cache, needs a compiler once more for its first Jacobian or picture, and for
+    its first batch or ensemble.)
+
+    Parameters
+    ----------
+    name : str or Path
+        The name of a model in this package, ``"four_bar"``, or of a model that was installed from a wheel of
+        `build_wheel` (not from the current folder); or the path of an extension module of ``fourbar build`` or
+        `build_model`, or of a library of `compile_model`. An installed package is only imported if its manifest.json
+        identifies it as that model.
+
+    Returns
+    -------
+    CompiledModel
+
+    Raises
+    ------
+    ModelError
+        If there is no such model, or the file is not a compiled model.
+
+    Examples
+    --------
+    >>> load("four_bar").coordinates
+    ('q1', 'q2', 'q3')
+    """
+    return facade_of(kernel_of(load_named(name)))

@@ -1,0 +1,1 @@
+"""What users give and what they are told: arguments, paths, progress, notebooks."""

@@ -1,0 +1,1 @@
+"""Live pages: a model in a browser."""

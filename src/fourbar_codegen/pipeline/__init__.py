@@ -1,0 +1,1 @@
+"""A Model is compiled: here generation and simulation meet."""

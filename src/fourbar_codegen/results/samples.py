@@ -1,0 +1,98 @@
+"""Trajectories of times and states that were not simulated here: measured ones, or the steps of a control loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.arguments import Values, name_of, named_columns, numbers
+from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, held_inputs, own_source
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = ["trajectory"]
+
+Floats = NDArray[np.float64]
+
+
+def trajectory(
+    model: Kernel,
+    t: ArrayLike,
+    x: ArrayLike | Mapping[Any, ArrayLike],
+    *,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
+) -> Trajectory:
+    """A trajectory of given times and states, such as the steps of a control loop, to show, evaluate and save.
+
+    Parameters
+    ----------
+    t : array_like, shape (n_t,)
+        Times in one direction, s.
+    x : array_like, shape (n_x, n_t), or mapping from names to arrays of shape (n_t,)
+        States in columns. They need not satisfy the constraints: ``constraint_residual`` tells.
+    parameters : array_like or mapping, optional
+        The defaults otherwise.
+    inputs : mapping, optional
+        The sources of the inputs, as for `simulate`; what a controller has held are tables of the kind "hold".
+
+    Returns
+    -------
+    Trajectory
+        Without interpolant, events and sensitivities.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite; or the times do not go in one direction.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> import numpy as np
+    >>> four_bar = fb.load("four_bar")
+    >>> stepper, times, states, forces = four_bar.stepper(0.01), [0.0], [four_bar.initial_state()], [0.0]
+    >>> for _ in range(100):
+    ...     forces.append(-20.0 * stepper.x[3])
+    ...     states.append(stepper.step({"F": forces[-1]}))
+    ...     times.append(stepper.t)
+    >>> run = four_bar.trajectory(times, np.transpose(states), inputs={"F": (times, [*forces[1:], forces[-1]], "hold")})
+    >>> run["energy"].shape, bool(abs(run.constraint_residual).max() < 1e-12)
+    ((101,), True)
+    """
+    times = numbers(t, "The times t").copy()
+    if times.ndim != 1 or not times.size or not np.isfinite(times).all():
+        raise ModelError(f"The times t must be finite, of shape (n_t,) with n_t > 0, not of shape {times.shape}.")
+    steps = np.diff(times)
+    if not ((steps >= 0.0).all() or (steps <= 0.0).all()):
+        raise ModelError("The times t must go in one direction.")
+    states = named_columns(x, model.states, {}, "state", times.size)
+    if states.shape != (model.n_x, times.size) or not np.isfinite(states).all():
+        raise ModelError(f"The states x must be finite, of shape {(model.n_x, times.size)}, not {states.shape}.")
+    p = model.parameter_vector(parameters)
+    sources = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
+    settings: dict[str, Any] = {"t_span": (float(times[0]), float(times[-1])), "constraints": "none"}
+    if held := held_inputs(sources):
+        settings["held"] = held
+    return Trajectory(
+        kernel=model,
+        parameters=p,
+        t=times,
+        y=states.copy(),
+        r=bind(model, p, sources).inputs_along(times, states),
+        sol=None,
+        t_events=None,
+        y_events=None,
+        nfev=0,
+        njev=0,
+        nlu=0,
+        status=0,
+        success=True,
+        message="The times and states were given.",
+        settings=settings,
+        inputs=sources,
+    )

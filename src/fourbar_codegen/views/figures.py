@@ -1,0 +1,644 @@
+"""Plots and animations of trajectories and ensembles with Matplotlib."""
+
+from __future__ import annotations
+
+import importlib
+import io
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import name_of, positive
+from fourbar_codegen.interface.progress import QUIET_SECONDS
+from fourbar_codegen.views.frames import Panel, drawing, equal_times, panels
+from fourbar_codegen.views.scene import SYMBOLS, Scene, View, known_points, scene, view_of
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from matplotlib.figure import Figure
+
+    from fourbar_codegen.results.assembly_modes import AssemblyModes
+    from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.kinematics import Branch, Kinematics
+    from fourbar_codegen.results.trajectory import Trajectory
+
+__all__ = [
+    "animate",
+    "plot_branch",
+    "plot_branches",
+    "plot_ensemble",
+    "plot_kinematics",
+    "plot_modes",
+    "plot_paths",
+    "plot_trajectory",
+    "require_figures",
+    "write_animation",
+]
+
+Floats = NDArray[np.float64]
+
+FPS = 30.0
+"""Frames per second by default."""
+
+COLORS = 64
+"""Of a GIF."""
+
+TICKS = 6
+"""Numbers along the longest axis in space."""
+
+MAX_FRAMES = 10_000
+"""Largest number of frames of an animation; each takes some hundredths of a second to draw."""
+
+EDGE = 0.08
+"""Margin around an animation, relative to the size of the mechanism."""
+
+MAX_PANELS = 24
+"""Largest number of assembly modes that are drawn."""
+
+ANIMATED_BY = {"gif": "pillow", "mp4": "ffmpeg"}
+"""Matplotlib's writers."""
+
+CURVES = 30
+"""Number of members of an ensemble that are drawn as curves."""
+
+TRACE_RATE = 500.0
+"""Points of a trace for a second, so that fast motions have round traces."""
+
+SMOOTH = 401
+"""Number of states with which a curve looks smooth."""
+
+STYLES: dict[str, dict[str, Any]] = {
+    "link": {"color": "0.25", "linewidth": 3.0, "solid_capstyle": "round", "solid_joinstyle": "round", "zorder": 2},
+    "line": {"color": "0.25", "linewidth": 1.5, "zorder": 2},
+    "guide": {"color": "0.6", "linewidth": 1.2, "zorder": 1},
+    "actuator": {"color": "tab:red", "linewidth": 2.0, "zorder": 2},
+    "spring": {"color": "tab:green", "linewidth": 1.2, "zorder": 2},
+    "damper": {"color": "tab:green", "linewidth": 1.2, "zorder": 2},
+    "ground": {"color": "0.45", "linewidth": 1.0, "zorder": 2},
+    "slider": {"color": "0.25", "linewidth": 1.5, "zorder": 3},
+    "pin": {"color": "0.25", "marker": "o", "markersize": 6.0, "markerfacecolor": "white", "zorder": 4},
+    "mass": {"color": "tab:blue", "marker": "o", "markersize": 4.0, "zorder": 4},
+    "arrow": {"color": "tab:orange", "linewidth": 2.0, "marker": "o", "markersize": 5.0, "markevery": [1], "zorder": 5},
+}
+
+
+def _imported(name: str, what: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ModelError(f"{what} need {name.split('.')[0]}: pip install 'fourbar_codegen[visual]'.") from error
+
+
+def require_figures(kind: str) -> None:
+    """Raise a ModelError if something is missing that PNG, GIF or MP4 needs."""
+    if kind not in ANIMATED_BY:
+        _imported("matplotlib.figure", "Plots")
+    elif not _imported("matplotlib.animation", "Animations").writers.is_available(ANIMATED_BY[kind]):
+        raise ModelError(f"{kind.upper()} needs {ANIMATED_BY[kind]}, which is not installed.")
+
+
+def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any] = ()) -> Figure:
+    """Plot states, inputs, outputs (such as joint forces), energy, multipliers and constraint violation over time.
+
+    One panel for each; needs the extra ``visual``.
+
+    Parameters
+    ----------
+    names : str or sequence of str, optional
+        Plot only these quantities, each in a panel: names that ``run[name]`` takes.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If there is no such quantity, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> figure = run.plot(["q1", "energy"])  # doctest: +SKIP
+    """
+    if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
+        trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
+    chosen = [_panel(trajectory.kernel.title(name), trajectory[name]) for name in _quantities(names)]
+    shown = chosen or [panel for panel in panels(trajectory) if panel.is_open]
+    figure, cells = _stacked([panel.title for panel in shown], 2.2, "time (s)")
+    for axes, panel in zip(cells, shown, strict=True):
+        for name, values in panel.curves.items():
+            axes.plot(trajectory.t, values, label=_label(name))
+        if panel.is_logarithmic:
+            axes.set_yscale("log")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.suptitle(trajectory.kernel.name)
+    return figure
+
+
+def plot_fit(runs: Sequence[Trajectory], measured: Sequence[Mapping[str, Floats]]) -> Figure:
+    """Plot measurements, as dots, and fitted runs over time, in a panel for each measured quantity.
+
+    Parameters
+    ----------
+    runs : sequence of Trajectory
+    measured : sequence of mapping of name to ndarray
+        For each run, at its times.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If Matplotlib is not installed.
+    """
+    names = list(dict.fromkeys(name for columns in measured for name in columns))
+    figure, cells = _stacked(names, 2.2, "time (s)")
+    for axes, name in zip(cells, names, strict=True):
+        for number, (run, columns) in enumerate(zip(runs, measured, strict=True)):
+            if name in columns:
+                label = "" if len(runs) == 1 else f" {number + 1}"
+                axes.plot(run.t, columns[name], ".", color=f"C{number}", alpha=0.5, label=f"measured{label}")
+                axes.plot(run.t, run[name], color=f"C{number}", label=f"fitted{label}")
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.suptitle(f"Fit of {runs[0].model.name}")
+    return figure
+
+
+def _stacked(titles: Sequence[str], height: float, label: str) -> tuple[Figure, list[Any]]:
+    """A figure with axes one below the other, of a height in inches, and the label of their common horizontal axis."""
+    figure: Figure = _imported("matplotlib.figure", "Plots").Figure(
+        figsize=(7.0, height * len(titles)), layout="constrained"
+    )
+    cells = list(figure.subplots(len(titles), 1, sharex=True, squeeze=False).flat)
+    for axes, title in zip(cells, titles, strict=True):
+        axes.set_title(title, loc="left", fontsize="medium")
+        axes.grid(alpha=0.3)
+    cells[-1].set_xlabel(label)
+    return figure, cells
+
+
+def _quantities(names: str | Sequence[Any]) -> list[str]:
+    """Names of quantities, of which one may be given by itself."""
+    given = [names] if isinstance(names, str) or hasattr(names, "name") else names
+    if not isinstance(given, list | tuple):
+        raise ModelError(f"names must be a sequence of names, not {shown(names)}.")
+    return list(map(name_of, given))
+
+
+def _panel(name: str, values: Floats) -> Panel:
+    """A quantity over time, or the three coordinates of a point."""
+    return Panel(name, {name: values} if values.ndim == 1 else dict(zip("xyz", values, strict=True)))
+
+
+def plot_paths(trajectory: Trajectory, points: Sequence[str] = ()) -> Figure:
+    """Draw the paths of points, such as coupler curves, and the initial mechanism; needs the extra ``visual``.
+
+    Parameters
+    ----------
+    points : sequence of str, optional
+        Names of the points; by default the moving joints, or the mass centres if there are none.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If a point does not exist, there is nothing to draw, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> figure = run.plot_paths(["link3_masscenter"])  # doctest: +SKIP
+    """
+    points = known_points(trajectory.kernel, points)
+    drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
+    figure, [axes] = _figure(1, drawn.scene.view)
+    _draw_paths(axes, drawn.scene, points)
+    _name_paths(axes, drawn.scene)
+    axes.set_title(trajectory.kernel.name)
+    return figure
+
+
+def _draw_paths(axes: Any, drawn: Scene, points: Sequence[str]) -> None:
+    """The mechanism at the first instant, and the paths of points, or of the moving joints."""
+    _draw(axes, drawn)
+    dimensions = len(drawn.view.axes)
+    for name in points or drawn.traced().values():
+        axes.plot(*drawn.positions[drawn.names.index(name), :dimensions], label=_label(name), zorder=1)
+    axes.set_aspect("equal")
+    if not drawn.is_planar:  # fewer numbers along short axes
+        lengths = {name: np.ptp(getattr(axes, f"get_{name}lim")()) for name in "xyz"}
+        for name, length in lengths.items():
+            axes.locator_params(axis=name, nbins=max(1, round(TICKS * length / max(lengths.values()))))
+
+
+def _name_paths(axes: Any, drawn: Scene) -> None:
+    """A legend beside the axes, if there are paths."""
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.is_planar else 1.15, 0.5))
+
+
+def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any] = ()) -> Figure:
+    """Plot some members, and the median and the bands of 50 % and 90 % of all of them; needs ``visual``.
+
+    If members differ in one parameter alone, there are no bands: curves are coloured by its value.
+
+    Parameters
+    ----------
+    names : str or sequence of str, optional
+        Names of scalar quantities, as in `Trajectory`, with a panel for each; by default the coordinates.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If there is no such quantity, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import fourbar_codegen as fb
+    >>> times = np.linspace(0.0, 1.0, 101)
+    >>> stiffness = np.linspace(1.0, 5.0, 50)
+    >>> ensemble = fb.load("four_bar").ensemble((0.0, 1.0), parameters={"k": stiffness}, t_eval=times)
+    >>> figure = ensemble.plot(["q1", "energy"])  # doctest: +SKIP
+    """
+    quantities = _quantities(names) or list(ensemble.kernel.coordinates)
+    if not len(ensemble):
+        raise ModelError("There is nothing to plot: the ensemble has no members.")
+    figure, cells = _stacked([_label(ensemble.kernel.title(name)) for name in quantities], 2.6, "time (s)")
+    varied = ensemble.varied
+    draw = _draw_members if len(varied) == 1 else _draw_bands
+    for axes, name in zip(cells, quantities, strict=True):
+        values = ensemble[name]
+        if values.ndim != 2:
+            raise ModelError(f"{name} is not a scalar quantity over time: it has shape {values.shape}.")
+        draw(axes, ensemble, values)
+    failed = len(ensemble) - int(ensemble.success.sum())
+    figure.suptitle(
+        f"{ensemble.kernel.name}: {len(ensemble)} members"
+        + (f", {failed} of which failed" if failed else "")
+        + (": later, percentiles are of the others" if failed and draw is _draw_bands else "")
+    )
+    return figure
+
+
+def _some(n: int) -> Any:
+    """Numbers of the members that are drawn as curves."""
+    return np.unique(np.linspace(0, n - 1, CURVES).round().astype(int))
+
+
+def _draw_members(axes: Any, ensemble: Ensemble, values: Floats) -> None:
+    """Curves of members, coloured by the parameter in which they differ."""
+    [(name, of_members)], units = ensemble.varied.items(), ensemble.kernel.units
+    mappable = _imported("matplotlib.cm", "Plots").ScalarMappable(cmap="viridis")
+    mappable.set_clim(of_members.min(), of_members.max())
+    order = np.argsort(of_members)
+    for member in order[_some(len(ensemble))]:
+        axes.plot(ensemble.t, values[member], color=mappable.to_rgba(of_members[member]), linewidth=1.0)
+    unit = units.get(name, "")
+    axes.figure.colorbar(mappable, ax=axes, label=f"{_label(name)} ({unit})" if unit else _label(name))
+
+
+def _draw_bands(axes: Any, ensemble: Ensemble, values: Floats) -> None:
+    """Median, the bands of 50 and 90 % of the members, and curves of some."""
+    reached = np.isfinite(values).any(axis=0)
+    if not reached.any():
+        return
+    times = ensemble.t[reached]
+    low, quarter, median, other, high = np.nanpercentile(values[:, reached], [5, 25, 50, 75, 95], axis=0)
+    lines = axes.plot(ensemble.t, values[_some(len(ensemble))].T, color="0.6", linewidth=0.5, zorder=1)
+    lines[0].set_label("members")
+    axes.fill_between(times, low, high, color="tab:blue", alpha=0.2, linewidth=0.0, label="90 %")
+    axes.fill_between(times, quarter, other, color="tab:blue", alpha=0.35, linewidth=0.0, label="50 %")
+    axes.plot(times, median, color="tab:blue", label="median")
+    axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+
+
+def plot_modes(modes: AssemblyModes) -> Figure:
+    """Draw the mechanism in each of its modes, the first 24 of them; needs the extra ``visual``.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If there is nothing to draw, or Matplotlib is not installed.
+    """
+    model = modes.kernel
+    if not model.points or not len(modes):
+        raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
+    states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MAX_PANELS]
+    positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
+    drawn = scene(model, positions)
+    figure, cells = _figure(len(states), drawn.view)
+    figure.suptitle(
+        f"{model.name}: {len(modes)} assembly modes"
+        + ("" if modes.is_complete else " of infinitely many" if modes.free else ", or more")
+        + ("" if len(states) == len(modes) else f"; the first {len(states)}")
+        + (f"\n{_label(modes.freedom)}" if modes.free else ""),
+        wrap=True,
+    )
+    low, high = drawn.positions.min(axis=(0, 2)), drawn.positions.max(axis=(0, 2))
+    n_qi = model.layout.n_independent_coordinates
+    for number, axes in enumerate(cells):
+        _draw(axes, drawn)(number)
+        named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
+        text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
+        axes.set_title(f"{number}: {text}", fontsize="small")
+        for name, begin, end in zip(drawn.view.axes, low, high, strict=False):
+            getattr(axes, f"set_{name}lim")(begin - EDGE * drawn.size, end + EDGE * drawn.size)
+        axes.set_aspect("equal")
+    return figure
+
+
+def plot_kinematics(found: Kinematics, *names: Any) -> Figure:
+    """Plot quantities of all branches against the drive; needs the extra ``visual``.
+
+    Parameters
+    ----------
+    *names : str or Symbol
+        Coordinates, speeds, or points; by default all coordinates.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If a name is not known, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> import numpy as np
+    >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
+    >>> figure = found.plot("q2", "P2")  # doctest: +SKIP
+    """
+    quantities = _quantities(names) or [name for name in found.kernel.coordinates if name not in found.drive]
+    unknown = [name for name in quantities if name not in (*found.kernel.states, *found.kernel.points)]
+    if unknown:
+        known = [*found.kernel.states, *found.kernel.points]
+        raise ModelError(f"There is no {', '.join(unknown)}; there are {', '.join(known)}.")
+    [(driven, values), *_] = found.drive.items()
+    figure, cells = _stacked([_label(name) for name in quantities], 2.4, _label(driven))
+    for axes, name in zip(cells, quantities, strict=True):
+        for number, branch in enumerate(found):
+            for part, letter in zip(np.atleast_2d(branch[name]), "xyz", strict=False):
+                label = f"branch {number}" + (f", {letter}" if branch[name].ndim > 1 else "")
+                axes.plot(values, part, label=label)
+        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    figure.suptitle(found.kernel.name)
+    return figure
+
+
+def plot_branch(branch: Branch, points: Sequence[str] = ()) -> Figure:
+    """Draw the mechanism with the paths of points; see `Kinematics.plot_paths`.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> branch = fb.load("four_bar").kinematics({"q1": [-0.5, 0.0, 0.5]})[0]
+    >>> figure = branch.plot_paths(["P2"])  # doctest: +SKIP
+    """
+    return _plot_branches([branch], points)
+
+
+def plot_branches(found: Kinematics, points: Sequence[str] = ()) -> Figure:
+    """Draw the mechanism in each branch with the paths of points; needs the extra ``visual``.
+
+    Parameters
+    ----------
+    points : sequence of str, optional
+        By default the moving joints.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    ModelError
+        If a point is not known, there is nothing to draw, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> import numpy as np
+    >>> found = fb.load("four_bar").kinematics({"q1": np.linspace(-0.5, 0.5, 11)})
+    >>> figure = found.plot_paths(["P2"])  # doctest: +SKIP
+    """
+    return _plot_branches(found.branches, points)
+
+
+def _plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
+    """Draw the mechanism in each branch, where it is first closed, with paths; see `Kinematics.plot_paths`."""
+    model = branches[0].kernel
+    chosen = known_points(model, points)
+    # A branch between two of the values of the drive has no position at any of them.
+    closed = [branch for branch in branches if np.isfinite(branch.q).all(axis=0).any()]
+    if not closed:
+        raise ModelError(f"There is nothing of {model.name} to draw: the loops close at none of the drive's values.")
+    shown = closed[:MAX_PANELS]
+    known = [branch.positions[:, :, np.isfinite(branch.q).all(axis=0)] for branch in shown]
+    view = view_of(model, np.concatenate(known, axis=2)[: len(model.points)])
+    scenes = [scene(model, positions, view) for positions in known]
+    figure, cells = _figure(len(shown), view)
+    for number, (axes, drawn) in enumerate(zip(cells, scenes, strict=True)):
+        _draw_paths(axes, drawn, chosen)
+        if len(shown) > 1:
+            axes.set_title(f"branch {number}", fontsize="small")
+    if len(shown) == 1:
+        _name_paths(cells[0], scenes[0])
+    figure.suptitle(model.name)
+    return figure
+
+
+def _label(name: str) -> str:
+    """A name as a Matplotlib label: not as a formula, and shown even with a leading underscore."""
+    label = name.replace("$", r"\$")
+    return f" {label}" if label.startswith("_") else label
+
+
+def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
+    """A figure with axes side by side, in rows of four."""
+    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    columns = min(panels, 4)
+    rows = -(-panels // columns)
+    side = 5.0 if panels == 1 else 2.8
+    width = side * columns * (1.5 if panels == 1 and not view.is_planar else 1.0)  # for the names beside it
+    figure: Any = figure_class(figsize=(width, side * rows), layout="constrained")
+    how = {} if view.is_planar else {"projection": "3d"}
+    axes = [figure.add_subplot(rows, columns, number + 1, **how) for number in range(panels)]
+    for each in axes:
+        for axis, label in zip(view.axes, view.labels, strict=False):
+            getattr(each, f"set_{axis}label")(f"{label} (m)")
+        if view.is_planar:
+            each.grid(alpha=0.3)
+    return figure, axes
+
+
+def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> Callable[[int], None]:
+    """Draw the mechanism at the first instant, and return a function that shows it at another."""
+    dimensions = len(drawn.view.axes)
+    styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in drawn.lines]
+    styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
+    for symbol in drawn.symbols:
+        has_outline = symbol.kind in SYMBOLS
+        styled.append((symbol.kind, drawn.outline(symbol) if has_outline else drawn.positions[symbol.at][:, None]))
+    styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
+    lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
+    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar]
+    corners = [drawn.positions[list(area.rows), :2] for area in areas]
+    filled = [axes.fill(*points[:, :, 0].T, color="0.25", alpha=0.2)[0] for points in corners]
+
+    def show(instant: int) -> None:
+        for line, (_, points) in zip(lines, styled, strict=True):
+            (line.set_data if dimensions == 2 else line.set_data_3d)(*points[:dimensions, :, instant])
+        for area, points in zip(filled, corners, strict=True):
+            area.set_xy(points[:, :, instant])
+
+    return show
+
+
+def animate(
+    trajectory: Trajectory, *, fps: float = FPS, speed: float = 1.0, traces: Sequence[str] | None = None
+) -> FuncAnimation:
+    """Animate the mechanism with Matplotlib; needs the extra ``visual``.
+
+    A link is the line through the points that are fixed on it, or the polygon about them; pins are where links
+    meet, and the ground where they meet points at rest. Arrows are forces that depend on inputs.
+
+    Parameters
+    ----------
+    fps : float, optional
+        Frames per second.
+    speed : float, optional
+        Simulated seconds per second of the animation.
+    traces : sequence of str, optional
+        Names of points with a trace; by default the moving joints, or the mass centres if there are none.
+
+    Returns
+    -------
+    matplotlib.animation.FuncAnimation
+        `save` writes it as GIF or MP4. In a notebook, prefer `report`: the buttons of Matplotlib's ``to_jshtml()``
+        need a network.
+
+    Raises
+    ------
+    ModelError
+        If the extra is not installed, the point of a trace does not exist, or no positions are known.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> animation = run.animate(traces=["P2"])  # doctest: +SKIP
+    """
+    animations = _imported("matplotlib.animation", "Animations")
+    figures = _imported("matplotlib.figure", "Animations")
+    model = trajectory.kernel
+    positive(fps, "fps")
+    positive(speed, "speed")
+    chosen = None if traces is None else known_points(model, traces)
+    n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
+    if n > MAX_FRAMES:
+        raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
+    drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
+    dimensions = len(drawn.scene.view.axes)
+    every = drawn.scene.positions[:, :dimensions]
+    low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
+    middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.scene.size
+    if drawn.scene.is_planar:  # height of the figure as needed
+        figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    else:
+        half[:] = half.max()
+        figure = figures.Figure(figsize=(6.0, 6.0))
+        axes = figure.add_subplot(projection="3d")
+        axes.set_proj_type("ortho")
+        axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
+    for name, begin, end in zip("xyz"[:dimensions], middle - half, middle + half, strict=True):
+        getattr(axes, f"set_{name}lim")(begin, end)
+    axes.set_aspect("equal")
+    axes.set_axis_off()
+    traced = drawn.scene.traced().values() if chosen is None else chosen
+    if traced:
+        start, end = trajectory.t[0], trajectory.t[-1]
+        rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
+        finer = trajectory.resample(equal_times(start, end, rate)).points
+        for name in traced:
+            axes.plot(*drawn.scene.view(finer[name])[:dimensions], color="tab:red", linewidth=1.0, zorder=1)
+    move = _draw(axes, drawn.scene, drawn.arrows)
+    time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
+
+    def show(frame: int) -> None:
+        move(frame)
+        time.set_text(f"t = {drawn.shown.t[frame]:.2f} s")
+
+    animation: FuncAnimation = animations.FuncAnimation(
+        figure, show, frames=every.shape[2], interval=1000.0 / fps, blit=False
+    )
+    return animation
+
+
+def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
+    """Write an animation as GIF or MP4; the suffix of the file matches."""
+    require_figures(kind)
+    animations, name = _imported("matplotlib.animation", "Animations"), ANIMATED_BY[kind]
+    animation = animate(trajectory, fps=FPS, speed=1.0, traces=None)
+    from tqdm import tqdm
+
+    with tqdm(desc=f"{trajectory.kernel.name}, {kind.upper()}", unit="frame", delay=QUIET_SECONDS, disable=None) as bar:
+
+        def advance(_: int, total: int) -> None:
+            bar.total = total
+            bar.update()
+
+        writer = _gif_writer(animations) if kind == "gif" else animations.writers[name](fps=FPS)
+        animation.save(path, writer=writer, progress_callback=advance)
+
+
+def _gif_writer(animations: Any) -> Any:
+    """A writer of GIFs with one palette, that of the first frame.
+
+    Matplotlib's leaves it to Pillow to choose a palette for each frame, which takes most of the time.
+    """
+    images = importlib.import_module("PIL.Image")
+
+    class Writer(animations.AbstractMovieWriter):
+        frames: list[Any]
+
+        def setup(self, fig: Any, outfile: Any, dpi: Any = None) -> None:
+            super().setup(fig, outfile, dpi=dpi)
+            self.frames = []
+
+        def grab_frame(self, **how: Any) -> None:
+            buffer = io.BytesIO()
+            self.fig.savefig(buffer, **{**how, "format": "rgba", "dpi": self.dpi})
+            frame = images.frombuffer("RGBA", self.frame_size, buffer.getbuffer(), "raw", "RGBA", 0, 1).convert("RGB")
+            known = {"palette": self.frames[0]} if self.frames else {"colors": COLORS, "kmeans": 3}
+            self.frames.append(frame.quantize(dither=images.Dither.NONE, **known))
+
+        def finish(self) -> None:
+            first, *others = self.frames
+            first.save(self.outfile, save_all=True, append_images=others, duration=round(1000.0 / self.fps), loop=0)
+
+    return Writer(fps=FPS)

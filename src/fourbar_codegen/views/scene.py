@@ -1,0 +1,366 @@
+"""What a picture of a mechanism shows: links, guides, pins, blocks, springs and the ground, as lines and symbols.
+
+Every picture is drawn from a `Scene`: plots, animations, reports, and assembly modes.
+"""
+
+from __future__ import annotations
+
+import importlib
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.errors import ModelError, ModelWarning, shown
+from fourbar_codegen.interface.arguments import listed
+from fourbar_codegen.kernel.kernel import Kernel
+
+__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
+
+Floats = NDArray[np.float64]
+
+PLANAR = 1e-9
+"""Relative tolerance, of the size of the mechanism, for planar mechanisms and for points at rest."""
+
+UNIT = 0.03
+"""Size of the symbols for pins, blocks and springs, relative to the size of the mechanism."""
+
+LINKS = 4.0
+"""Size of a mechanism that travels, relative to its largest link."""
+
+TOUCHING = 1e-6
+"""Largest distance of two points that a pin joins, relative to the size of the mechanism; loops may close worse."""
+
+Template = tuple[tuple[tuple[float, float, float], ...], ...]
+"""Lines of a symbol. Each point has a fraction of the way from the symbol's place to the point that it is directed to,
+and displacements along and across that direction in units of the symbols' size."""
+
+COILS = 6
+SPACE = 1.6
+"""Distance of springs and dampers side by side."""
+
+SYMBOLS: dict[str, Template] = {
+    "ground": (
+        ((0.0, 0.0, 0.0), (0.0, -0.6, -1.0), (0.0, 0.6, -1.0), (0.0, 0.0, 0.0)),
+        ((0.0, -1.1, -1.0), (0.0, 1.1, -1.0)),
+        *(((0.0, x, -1.0), (0.0, x - 0.4, -1.5)) for x in (-0.7, -0.1, 0.5, 1.1)),
+    ),
+    "slider": (((0.0, -1.0, -0.6), (0.0, 1.0, -0.6), (0.0, 1.0, 0.6), (0.0, -1.0, 0.6), (0.0, -1.0, -0.6)),),
+    "spring": (
+        (
+            (0.0, 0.0, 0.0),
+            (0.2, 0.0, 0.0),
+            *((0.2 + 0.6 * (i + 0.5) / (2 * COILS), 0.0, 0.5 * (-1.0) ** i) for i in range(2 * COILS)),
+            (0.8, 0.0, 0.0),
+            (1.0, 0.0, 0.0),
+        ),
+    ),
+    "damper": (
+        ((0.0, 0.0, 0.0), (0.35, 0.0, 0.0)),
+        ((0.35, 0.0, -0.5), (0.35, 0.0, 0.5)),
+        ((0.65, 0.0, -0.5), (0.35, 0.0, -0.5)),
+        ((0.65, 0.0, 0.5), (0.35, 0.0, 0.5)),
+        ((0.5, 0.0, -0.4), (0.5, 0.0, 0.4)),
+        ((0.5, 0.0, 0.0), (1.0, 0.0, 0.0)),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line or an area of a picture.
+
+    Attributes
+    ----------
+    kind : {"link", "guide", "actuator", "line"}
+    rows : tuple of int
+        Rows of the positions that it connects.
+    is_closed : bool
+        Whether it is the outline of an area.
+    """
+
+    kind: str
+    rows: tuple[int, ...]
+    is_closed: bool = False
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """A symbol of a picture.
+
+    Attributes
+    ----------
+    kind : {"ground", "pin", "mass", "slider", "spring", "damper"}
+        Those that are no circles have lines in `SYMBOLS`.
+    at : int
+        Row of the position where it stands.
+    toward : int or None
+        Row of the position that it is directed to; None for the x axis.
+    shift : float
+        Displacement across, in units of the symbols' size, of several between the same points.
+    """
+
+    kind: str
+    at: int
+    toward: int | None = None
+    shift: float = 0.0
+
+
+@dataclass(frozen=True)
+class View:
+    """How pictures show the axes of the inertial frame.
+
+    Gravity along an axis is shown downwards, and a mechanism whose points stay in a plane of two axes in this plane.
+
+    Attributes
+    ----------
+    turn : ndarray, shape (3, 3)
+        A rotation. The first two of the new coordinates are shown to the right and upwards if the mechanism is planar;
+        otherwise the third one is upwards.
+    labels : tuple of str
+        Of the new coordinates.
+    is_planar : bool
+    """
+
+    turn: Floats
+    labels: tuple[str, ...]
+    is_planar: bool
+
+    @property
+    def axes(self) -> str:
+        """Matplotlib's names of the new coordinates that are shown."""
+        return "xy" if self.is_planar else "xyz"
+
+    def __call__(self, positions: Floats) -> Floats:
+        """Positions in the new coordinates, shape (..., 3, n_t)."""
+        return np.asarray(self.turn @ positions)
+
+
+def view_of(model: Kernel, positions: Floats) -> View:
+    """The view of a model's points, shape (n_points, 3, n_t)."""
+    size, extents = extent(positions)
+    flat = [axis for axis in (2, 1, 0) if extents[axis] <= PLANAR * size]
+    axes, gravity = np.eye(3), model.layout.drawing.gravity
+    down = None if gravity is None else np.array(gravity, dtype=float)
+    if flat:
+        normal = next((axis for axis in flat if down is None or not down[axis]), flat[0])
+        up = axes[1 if normal == 2 else 2] if down is None or down[normal] else -down
+        right = next(axis for number, axis in enumerate(axes) if number != normal and not axis @ up)
+        turn, is_planar = np.array([right, up, np.cross(right, up)]), True
+    else:
+        up = axes[2] if down is None else -down
+        right = next(axis for axis in axes if not axis @ up)
+        turn, is_planar = np.array([right, np.cross(up, right), up]), False
+    labels = tuple(("-" if row.sum() < 0 else "") + "xyz"[int(np.abs(row).argmax())] for row in turn)
+    return View(turn, labels, is_planar)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A mechanism at several instants: what every picture of it shows.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of the first rows of `positions`, the mechanism's points.
+    bodies : tuple of str or None
+        The bodies whose mass centres they are.
+    positions : ndarray, shape (n_rows, 3, n_t)
+        In the coordinates of the view, m.
+    lines : tuple of Line
+    symbols : tuple of Symbol
+    size : float
+    view : View
+    unit : float
+        Size of the symbols, m.
+    """
+
+    names: tuple[str, ...]
+    bodies: tuple[str | None, ...]
+    positions: Floats
+    lines: tuple[Line, ...]
+    symbols: tuple[Symbol, ...]
+    size: float
+    view: View
+    unit: float
+
+    @property
+    def is_planar(self) -> bool:
+        """Whether it is shown in the plane of its first two coordinates."""
+        return self.view.is_planar
+
+    def moves(self, row: int) -> bool:
+        """Whether a point moves."""
+        path = self.positions[row]
+        path = path[:, np.isfinite(path).all(axis=0)]
+        return bool(path.size and np.ptp(path, axis=1).max() > PLANAR * self.size)
+
+    def traced(self) -> dict[int, str]:
+        """Row and name of the points with a trace by default.
+
+        Moving joints and ends of links, one for each position; the mass centres if there are none.
+        """
+        moving = {row: name for row, name in enumerate(self.names) if self.moves(row)}
+        joints: dict[int, str] = {}
+        for row, name in moving.items():
+            elsewhere = not any(_coincide(self.positions, row, other, PLANAR * self.size) for other in joints)
+            if self.bodies[row] is None and elsewhere:
+                joints[row] = name
+        return joints or moving
+
+    def outline(self, symbol: Symbol) -> Floats:
+        """The lines of a symbol, one after the other with NaN between them, shape (3, n_points, n_t)."""
+        at = self.positions[symbol.at]
+        way = np.zeros_like(at) if symbol.toward is None else self.positions[symbol.toward] - at
+        with np.errstate(all="ignore"):
+            along = np.array([[1.0], [0.0], [0.0]]) if symbol.toward is None else way / np.linalg.norm(way, axis=0)
+            # A quarter turn about z; in space, ground symbols stand upright, and what points along z has none.
+            across = np.array([-along[1], along[0], 0.0 * along[0]]) / np.hypot(along[0], along[1])
+            if not self.is_planar:
+                upright = symbol.toward is None or np.abs(along[2]) > 1.0 - PLANAR
+                across = np.where(upright, np.roll(along, 2, axis=0), across)
+        pieces = []
+        for line in SYMBOLS[symbol.kind]:
+            steps = [at + part * way + self.unit * (x * along + (y + symbol.shift) * across) for part, x, y in line]
+            pieces += [*steps, np.full_like(at, np.nan)]
+        return np.stack(pieces[:-1], axis=1)
+
+
+def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
+    """What pictures of a model show at several instants.
+
+    Parameters
+    ----------
+    model : Kernel
+    positions : ndarray, shape (n_points, 3, n_t)
+        Of the model's points, those without names included, in the inertial frame, m.
+    view : View, optional
+        By default that of these positions.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    ModelError
+        If there is nothing to draw.
+    """
+    if not model.points:
+        raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
+    if model.layout.drawing.not_drawn:
+        warnings.warn(
+            f"Points of {model.name} that are not drawn: {', '.join(model.layout.drawing.not_drawn)}. Their positions "
+            "take frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
+            ModelWarning,
+            stacklevel=5,
+        )
+    named = positions[: len(model.points)]
+    view = view_of(model, named) if view is None else view
+    size, positions = extent(named)[0], view(positions)
+    # Of a vehicle that goes far, symbols are as large as the vehicle needs.
+    links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]
+    unit = UNIT * min(size, LINKS * max((extent(link[:, :, :1])[0] for link in links), default=size))
+    rows, lines, symbols = list(positions), list[Line](), list[Symbol]()
+    holders: dict[int, set[int]] = {}
+    """Points, one for each position, and the numbers of the shapes that have a point there."""
+    kinds: dict[str, set[int]] = {}
+    for number, shape in enumerate(model.layout.drawing.shapes):
+        kind, points = shape.kind, shape.points
+        kinds.setdefault(kind, set()).add(number)
+        for point in points[:1] if kind == "slider" else points:
+            same = (other for other in holders if _coincide(positions, point, other, TOUCHING * size))
+            holders.setdefault(next(same, point), set()).add(number)
+        if kind == "link":
+            lines += _outline(positions, points, size)
+        elif kind == "slider":
+            lines.append(Line("guide", (len(rows), len(rows) + 1)))
+            symbols.append(Symbol("slider", points[0], len(rows) + 1))
+            rows += _guide(positions[[*points]], 2.0 * unit)
+        elif kind in ("spring", "damper"):
+            beside = sum({s.at, s.toward} == {points[0], points[-1]} for s in symbols)
+            symbols.append(Symbol(kind, points[0], points[-1], beside * SPACE))
+        elif kind != "ground":
+            lines.append(Line(kind, points))
+    ground = kinds.get("ground", set())
+    jointed = ground | kinds.get("link", set()) | kinds.get("slider", set())
+    shared = {point: numbers for point, numbers in holders.items() if len(numbers) > 1}
+    symbols += [Symbol("ground", point) for point, numbers in shared.items() if numbers & ground]
+    symbols += [Symbol("pin", point) for point, numbers in shared.items() if len(numbers & jointed) > 1]
+    entries = model.layout.drawing.points
+    masses = [point for point, entry in enumerate(entries) if entry.body is not None]
+    still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
+    symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
+    bodies = tuple(entry.body for entry in entries[: len(model.points)])
+    return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
+
+
+def known_points(model: Kernel, points: Iterable[str]) -> list[str]:
+    """Names of points of a model, checked."""
+    what = "Points are given as a sequence of their names"
+    names = listed(points, what)
+    if not all(isinstance(name, str) for name in names) or not (names or isinstance(points, list | tuple)):
+        raise ModelError(f"{what}, not {shown(points)}.")
+    unknown = [name for name in names if name not in model.points]
+    if unknown:
+        raise ModelError(f"There is no point {', '.join(map(str, unknown))}; there are {', '.join(model.points)}.")
+    return names
+
+
+def _coincide(positions: Floats, point: int, other: int, tolerance: float) -> bool:
+    """Whether two points are at the same place at every instant at which they have one."""
+    distance = np.abs(positions[point] - positions[other]).max(axis=0)
+    known = distance[np.isfinite(distance)]
+    return bool(known.size and known.max() <= tolerance)
+
+
+def _guide(positions: Floats, margin: float) -> tuple[Floats, Floats]:
+    """The ends of a guide that is as long as the way of the point that slides on it, and a margin."""
+    moved, base, tip = positions
+    with np.errstate(all="ignore"):
+        along = (tip - base) / np.linalg.norm(tip - base, axis=0)
+        way = ((moved - base) * along).sum(axis=0)
+        low, high = np.nanmin(way, initial=np.inf) - margin, np.nanmax(way, initial=-np.inf) + margin
+    return moved + (low - way) * along, moved + (high - way) * along
+
+
+def _outline(positions: Floats, points: tuple[int, ...], size: float) -> Iterator[Line]:
+    """The lines of a link: a line through points on a line, else their convex hull."""
+    finite = np.flatnonzero(np.isfinite(positions[list(points)]).all(axis=(0, 1)))
+    if len(points) == 2 or not finite.size:
+        yield Line("link", points)
+        return
+    corners = positions[list(points), :, finite[0]]
+    _, extents, axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)
+    dimensions = max(1, int((extents > TOUCHING * size).sum()))
+    along = (corners - corners.mean(axis=0)) @ axes[:dimensions].T
+    if dimensions == 1:
+        order = np.argsort(along[:, 0])
+        yield Line("link", tuple(points[k] for k in order))
+    elif len(points) == 3:
+        yield Line("link", points, is_closed=True)
+    else:
+        hull = importlib.import_module("scipy.spatial").ConvexHull(along)
+        if dimensions == 2:
+            yield Line("link", tuple(points[k] for k in hull.vertices), is_closed=True)
+        else:
+            edges = {tuple(sorted(edge)) for facet in hull.simplices for edge in combinations(facet.tolist(), 2)}
+            for a, b in sorted(edges):
+                yield Line("link", (points[a], points[b]))
+
+
+def extent(positions: Floats) -> tuple[float, Floats]:
+    """The largest extent along an axis, m, and those along all axes.
+
+    Parameters
+    ----------
+    positions : ndarray, shape (n_points, 3, n_t)
+    """
+    finite = positions[:, :, np.isfinite(positions).all(axis=(0, 1))]
+    if not finite.size:
+        return 1.0, np.zeros(3)
+    extents = np.ptp(finite, axis=(0, 2))
+    return float(extents.max()) or 1.0, extents

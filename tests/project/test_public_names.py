@@ -1,0 +1,107 @@
+"""The names that users call: those of the reference and of CHANGELOG stay, and others are not reachable by accident."""
+
+import dataclasses
+import inspect
+import pickle
+
+import numpy as np
+import pytest
+
+import fourbar_codegen as fb
+from fourbar_codegen import _METHODS
+from fourbar_codegen.compiled_model import _Method
+
+NAMES = {
+    "CompiledModel": """
+    auxiliary_states constraint_jacobian coordinates defaults descriptions energy_without ensemble equilibrium
+    forced_points forcing initial_state initial_state_derivatives initial_states input_jacobian
+    input_jacobian_batch inputs instructions inverse_dynamics is_portable is_verified jacobian jacobian_batch
+    jvp kernel kinematics kinetic_energy lacks_batch_functions lacks_derivatives lacks_products layout linearize
+    manifest mass_matrix momentum multipliers n_c n_h n_l n_o n_p n_q n_r n_u n_x n_z name ode output
+    output_input_jacobian output_jacobian output_parameter_jacobian outputs page parameter_jacobian
+    parameter_jacobian_batch parameters path points position_constraints positions potential_energy prescribed
+    require_batch_functions require_derivatives require_products residual_batch residual_jacobian_batch
+    residual_sparsity rhs rhs_batch runner simulate speeds state_space states stepper trajectory tree_forcing
+    tree_mass_matrix units velocity_constraints vjp
+    """,
+    "Trajectory": """
+    accelerations animate columns constraint_residual directions energy energy_without event_sensitivity forces
+    gradient inputs kernel kinetic_energy message model multipliers nfev njev nlu output_sensitivity outputs
+    parameters plot plot_paths points potential_energy q r report resample residual_label save sensitivity
+    settings sol status steps success t t_events to_dataframe to_xarray u vectors velocities velocity_residual y
+    y_events z
+    """,
+    "Ensemble": """
+    by_member events inputs kernel messages model n_events nfev parameters plot save settings status success t
+    t_events to_xarray varied y y_events
+    """,
+    "Branch": """
+    accelerations columns drive kernel limits model p plot_paths points positions q qd qdd r save t
+    transmission_angle u ud velocities without_value
+    """,
+    "Kinematics": """
+    branches closes dead_points drive is_complete kernel model plot plot_paths
+    """,
+    "AssemblyModes": """
+    free freedom inputs is_complete kernel model parameters plot t x
+    """,
+}
+"""A name leaves this list when CHANGELOG has said for a version that it will."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names_of_models_and_results_are_those_of_the_list(four_bar, name):
+    kind = getattr(fb, name)
+    found = {*dir(four_bar)} if kind is fb.CompiledModel else {*dir(kind), *(f.name for f in dataclasses.fields(kind))}
+    inherited = {*dir(tuple)} if issubclass(kind, tuple) else {"count", "index"} if hasattr(kind, "index") else set()
+    assert {n for n in found - inherited if not n.startswith("_")} == {*NAMES[name].split()}
+
+
+def test_methods_of_the_kernel_are_reached_through_the_kernel_alone(four_bar):
+    for name in ("along", "evaluate", "too_few_dependent", "has_motions", "state_rates_for", "invariant_correction"):
+        assert not hasattr(four_bar, name)
+    assert four_bar.kernel.layout is four_bar.layout
+
+
+def test_types_and_functions_of_the_models_methods_are_listed_for_the_same_names():
+    """The list for type checkers, which runs never, and the list of where functions are."""
+    source = inspect.getsource(fb.CompiledModel)
+    typed, _, found = source.partition("    else:")
+    typed = {line.partition("=")[0].strip() for line in typed.splitlines() if "= of_kernel(" in line}
+    found = {name for name, value in vars(fb.CompiledModel).items() if isinstance(value, _Method)}
+    assert typed == found
+
+
+@pytest.mark.parametrize("method", sorted(_METHODS))
+def test_registered_methods_are_declared_where_they_are_registered_for(method):
+    name, _, attribute = method.partition(".")
+    if hasattr(fb, name):
+        assert attribute in vars(getattr(fb, name))
+
+
+def test_help_of_a_method_is_that_of_its_function(four_bar):
+    for name, value in vars(fb.CompiledModel).items():
+        if isinstance(value, _Method):
+            method = getattr(four_bar, name)
+            assert method.__doc__ == getattr(fb.CompiledModel, name).__doc__
+            assert method.__doc__
+            assert "model" not in str(inspect.signature(method)).partition(",")[0]
+
+
+def test_result_knows_its_model_also_after_pickling(four_bar):
+    run = four_bar.simulate((0.0, 0.1), t_eval=[0.0, 0.1])
+    assert run.model is four_bar
+    assert four_bar.ensemble((0.0, 0.1)).model is four_bar
+    again = pickle.loads(pickle.dumps(run))
+    assert again.model.states == four_bar.states
+    np.testing.assert_array_equal(again["energy"], run["energy"])
+
+
+@pytest.mark.parametrize("make", ["simulate", "ensemble", "kinematics", "initial_states"])
+def test_results_are_frozen_and_pickled_whole(four_bar, make):
+    arguments = {"kinematics": ({"q1": [-0.5, -0.4]},), "initial_states": ({"q1": -0.5},)}
+    result = getattr(four_bar, make)(*arguments.get(make, ((0.0, 0.1),)))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        result.kernel = None
+    again = pickle.loads(pickle.dumps(result))
+    assert repr(again) == repr(result)

@@ -1,7 +1,6 @@
 """What code generation and simulation know of a compiled model.
 
-`Layout` is its description, the manifest, which JSON text carries from one half to the other. Its parts
-are named tuples: Python takes 6 ms longer to make the classes of twelve frozen dataclasses, at each start of a program.
+`Layout` is its description, the manifest, which JSON text carries from one half to the other.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
-from typing import NamedTuple, Self, TypeVar
+from typing import Self, TypeVar
 
 from fourbar_codegen.errors import ModelError
 
@@ -65,7 +64,8 @@ Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What JSON can hold."""
 
 
-class Parameter(NamedTuple):
+@dataclass(frozen=True)
+class Parameter:
     """A parameter.
 
     Attributes
@@ -84,7 +84,8 @@ class Parameter(NamedTuple):
     range: tuple[float, float] | None
 
 
-class Input(NamedTuple):
+@dataclass(frozen=True)
+class Input:
     """An input, or a rate of one that prescribes a motion.
 
     Attributes
@@ -107,7 +108,8 @@ class Input(NamedTuple):
     is_prescribed: bool
 
 
-class Formulas(NamedTuple):
+@dataclass(frozen=True)
+class Formulas:
     """Expressions as plain data; see ``expressions/formulas.py``.
 
     Attributes
@@ -122,7 +124,8 @@ class Formulas(NamedTuple):
     results: Sequence[Json]
 
 
-class Constraints(NamedTuple):
+@dataclass(frozen=True)
+class Constraints:
     """Position and velocity constraints.
 
     Attributes
@@ -146,7 +149,8 @@ class Constraints(NamedTuple):
     velocity_rows: tuple[int, ...]
 
 
-class StateJump(NamedTuple):
+@dataclass(frozen=True)
+class StateJump:
     """A jump of the equations of motion, or of the expression of an input, where a function of the state switches.
 
     Attributes
@@ -167,7 +171,8 @@ class StateJump(NamedTuple):
     known: bool
 
 
-class Breakpoints(NamedTuple):
+@dataclass(frozen=True)
+class Breakpoints:
     """Where expressions are not smooth.
 
     Attributes
@@ -188,7 +193,8 @@ class Breakpoints(NamedTuple):
     state_jumps: tuple[StateJump, ...]
 
 
-class Point(NamedTuple):
+@dataclass(frozen=True)
+class Point:
     """A drawn point.
 
     Attributes
@@ -203,7 +209,8 @@ class Point(NamedTuple):
     body: str | None
 
 
-class Shape(NamedTuple):
+@dataclass(frozen=True)
+class Shape:
     """A part of the picture.
 
     Attributes
@@ -222,7 +229,8 @@ class Shape(NamedTuple):
     points: tuple[int, ...]
 
 
-class Drawing(NamedTuple):
+@dataclass(frozen=True)
+class Drawing:
     """The picture.
 
     Attributes
@@ -247,7 +255,8 @@ class Drawing(NamedTuple):
     gravity: tuple[float, ...] | None
 
 
-class PotentialEnergy(NamedTuple):
+@dataclass(frozen=True)
+class PotentialEnergy:
     """What is known of the potential energy.
 
     Attributes
@@ -261,7 +270,8 @@ class PotentialEnergy(NamedTuple):
     without: tuple[str, ...]
 
 
-class Dependencies(NamedTuple):
+@dataclass(frozen=True)
+class Dependencies:
     """What depends on what.
 
     Attributes
@@ -279,7 +289,8 @@ class Dependencies(NamedTuple):
     timed_by: Mapping[str, tuple[str, ...]]
 
 
-class Operations(NamedTuple):
+@dataclass(frozen=True)
+class Operations:
     """Numbers of operations of functions, by their names; of products with directions for one direction.
 
     Attributes

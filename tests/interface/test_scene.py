@@ -10,12 +10,12 @@ from builders.linkages import inverted_slider_crank
 from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
-from fourbar_codegen.views.frames import drawing
+from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.scene import scene
 
 
 def scene_of(run, times=50):
-    return drawing(run, lambda start, end: np.linspace(start, end, times)).scene
+    return frames_of(run, lambda start, end: np.linspace(start, end, times)).scene
 
 
 def drawn(found, kind):

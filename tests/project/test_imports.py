@@ -35,11 +35,11 @@ CORE = {
     "simulation": ["analysis", "solvers"],
     "compiled_model": ["simulation", "building"],
     "pipeline": ["codegen", "compiled_model"],
+    "models": ["modeling"],
 }
 """What each layer stands on: it may import that, and what that stands on."""
 
 BESIDE = {
-    "models": ["modeling"],
     "linkage": ["modeling"],
     "views": ["results"],
     "files": ["views", "compiled_model"],

@@ -19,9 +19,10 @@ import time
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from fourbar_codegen.building.stored_model import CHECKSUM, agree, checksums_in, digest_of_file
 from fourbar_codegen.errors import CacheError
@@ -50,7 +51,8 @@ ENTRY = re.compile(r"(?P<name>\w+)-[0-9a-f]{32}(\.\d+\.\d+\.removed)?")
 """Names of the folders in the cache, also of those that a process was removing when it ended."""
 
 
-class Entry(NamedTuple):
+@dataclass(frozen=True)
+class Entry:
     """A folder in the cache.
 
     Attributes

@@ -251,10 +251,13 @@ def _check_plotted(model: CompiledModel, names: tuple[str, ...]) -> None:
     """Raise an error, before anything is computed, if a name is no quantity over time that a plot can show."""
     import numpy as np
 
-    from fourbar_codegen.results.trajectory import make_trajectory
+    from fourbar_codegen.results.trajectory import Trajectory
 
-    y, r = np.zeros((model.n_x, 0)), np.zeros((model.n_r, 0))
-    nothing = make_trajectory(kernel=model.kernel, parameters=None, t=np.zeros(0), y=y, r=r)
+    nothing = Trajectory(
+        kernel=model.kernel, parameters=None, t=np.zeros(0), y=np.zeros((model.n_x, 0)), r=np.zeros((model.n_r, 0)),
+        sol=None, t_events=None, y_events=None, nfev=0, njev=0, nlu=0, status=0, success=True, message="", settings={},
+        inputs=None,
+    )  # fmt: skip
     for name in names:
         if nothing[name].ndim != 1:
             raise fb.ModelError(f"--plot shows scalar quantities over time; {name} has three components.")

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
-from fourbar_codegen.dynamics.points import Picture
+from fourbar_codegen.dynamics.drawn_positions import DrawnPositions
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.expressions.tape import Result, Scalar, Tape
 from fourbar_codegen.layout import Formulas
@@ -230,7 +230,7 @@ class Drawing:
 
     Attributes
     ----------
-    picture : Picture
+    picture : DrawnPositions
     points : Result
         Positions of its points in the inertial frame, (n_points, 3).
     forced : tuple of int
@@ -239,7 +239,7 @@ class Drawing:
         These forces in the inertial frame, (n_forces, 3).
     """
 
-    picture: Picture
+    picture: DrawnPositions
     points: Result
     forced: tuple[int, ...]
     forces: Result

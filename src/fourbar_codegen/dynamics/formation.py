@@ -24,6 +24,7 @@ import sympy as sm
 from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
 from fourbar_codegen.dynamics.corrections import Corrections, form_corrections
+from fourbar_codegen.dynamics.drawn_positions import applied_forces, find_drawn_positions
 from fourbar_codegen.dynamics.equations import (
     Drawing,
     DrivingForces,
@@ -42,7 +43,6 @@ from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematic_equations import solve_kinematics
 from fourbar_codegen.dynamics.kinematics import Kinematics
 from fourbar_codegen.dynamics.momenta import form_momenta
-from fourbar_codegen.dynamics.points import applied_forces, find_picture
 from fourbar_codegen.dynamics.potential import Potential, find_potential
 from fourbar_codegen.dynamics.random_states import RandomStates, closed_states
 from fourbar_codegen.dynamics.recursion import Recursion, form_recursion
@@ -383,7 +383,7 @@ def _contradictions(m: _Motion, kane: _KanesEquations, solved: _Solved) -> tuple
 
 
 def _drawing(m: _Motion) -> Drawing:
-    picture = find_picture(m.mechanism, m.kinematics)
+    picture = find_drawn_positions(m.mechanism, m.kinematics)
     points = matrix("points", picture.positions, 3)
     unknown = (*m.v.aux, *m.v.unknown)
     applied = applied_forces(m.tape, m.mechanism, m.kinematics, picture.points, m.v.r, unknown)

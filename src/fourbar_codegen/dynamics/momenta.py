@@ -6,22 +6,22 @@ Goldstein, *Classical Mechanics*, 2nd ed. 1980, section 1.2 (about the mass cent
 
 from __future__ import annotations
 
+from fourbar_codegen.dynamics.drawn_positions import DrawnPositions
 from fourbar_codegen.dynamics.equations import Variables, vector
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, add, cross, negative, scale
-from fourbar_codegen.dynamics.points import Picture
 from fourbar_codegen.expressions.tape import Leaf, Node, Result, Scalar
 
 __all__ = ["form_momenta"]
 
 
-def form_momenta(kane: Kane, picture: Picture, variables: Variables) -> tuple[Result, Result, Result]:
+def form_momenta(kane: Kane, picture: DrawnPositions, variables: Variables) -> tuple[Result, Result, Result]:
     """The momenta of the bodies that move, in the inertial frame.
 
     Parameters
     ----------
     kane : Kane
-    picture : Picture
+    picture : DrawnPositions
         With the positions of mass centres.
     variables : Variables
 

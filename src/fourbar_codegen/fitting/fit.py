@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -371,7 +371,8 @@ def _experiments(data: Any) -> tuple[Experiment, ...]:
     )
 
 
-class _Start(NamedTuple):
+@dataclass(frozen=True)
+class _Start:
     """The options and the start of a run, and the derivatives of the state and parameters, shape (n_x + n_p, n)."""
 
     options: RunOptions

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,8 @@ __all__ = [
 Floats = NDArray[np.float64]
 
 
-class Discontinuity(NamedTuple):
+@dataclass(frozen=True)
+class Discontinuity:
     """A time of a jump or a kink.
 
     Attributes
@@ -55,7 +56,8 @@ class Discontinuity(NamedTuple):
     varied: bool = False
 
 
-class Boundary(NamedTuple):
+@dataclass(frozen=True)
+class Boundary:
     """How a run passes a discontinuity.
 
     Attributes
@@ -108,7 +110,7 @@ def discontinuities(ode: Ode, begin: float, end: float, *, varied: bool = False)
             found[-1] = Discontinuity(found[-1].t, t, found[-1].moves or known[t], same)
         else:
             found.append(Discontinuity(t, t, known[t], same))
-    return [at._replace(varied=at.moves) for at in found] if varied else found
+    return [replace(at, varied=at.moves) for at in found] if varied else found
 
 
 def boundary(ode: Ode, at: Discontinuity, towards: float, x: Floats) -> Boundary:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence, Set
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,7 +68,8 @@ REGULAR_PIVOT_RATIO = 1e-3
 """Pivots of the constraints' derivatives, relative to the largest, below which a singular position may be nearby."""
 
 
-class Directions(NamedTuple):
+@dataclass(frozen=True)
+class Directions:
     """Directions of initial states, parameters and inputs.
 
     Attributes
@@ -348,7 +350,8 @@ def corrected(
     return None
 
 
-class _Dependent(NamedTuple):
+@dataclass(frozen=True)
+class _Dependent:
     """What dependent values follow from, but for the state."""
 
     model: Kernel
@@ -390,7 +393,7 @@ class _Dependent(NamedTuple):
         h, size = MAX_COORDINATE_CHANGE / rate, np.inf
         p = parameter_array(self.model, self.p) + h * found[n_x:, j]
         r = None if self.r is None else self.r + h * self.directions[n_x + len(p) :, j]
-        changed, x = self._replace(p=p, r=r), x + h * found[:n_x, j]
+        changed, x = replace(self, p=p, r=r), x + h * found[:n_x, j]
         for _ in range(MAX_CORRECTIONS):
             missing, _, change, pivot, left = changed.at(x)
             last, size = size, float(np.abs(change).max(initial=0.0))

@@ -7,9 +7,7 @@ and eliminate common subexpressions.
 from __future__ import annotations
 
 import itertools
-import math
-import random
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from fourbar_codegen.dynamics.derivatives import Derivatives
@@ -17,22 +15,14 @@ from fourbar_codegen.dynamics.equations import Equations, results_of
 from fourbar_codegen.dynamics.products import Products
 from fourbar_codegen.dynamics.recursion import Recursion
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.expressions.identities import rank as find_rank
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
 from fourbar_codegen.lowering.angles import add_angles
 from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
-from fourbar_codegen.lowering.elimination import (
-    MAX_CONSTRAINTS,
-    find_pivot_order,
-    find_structure,
-    recursive_cost,
-    solution_cost,
-)
+from fourbar_codegen.lowering.form import choose_form
 from fourbar_codegen.lowering.program import (
     Array,
     Factors,
     Function,
-    PivotOrder,
     Program,
     Sizes,
     Statements,
@@ -43,29 +33,11 @@ from fourbar_codegen.runtime.enumerations import Needs, Role
 
 __all__ = ["lower", "lower_derivatives", "lower_products"]
 
-MIN_PIVOT_RATIO = 1e-9
-"""Smallest pivot of M relative to its diagonal; that of the first link of a chain is of the order 1 / n^3."""
-
-# Measured with the models of benchmarks/forms.py: by these, each is printed in its fastest form or in one that takes at
-# most a fifth more.
-MAX_RECURSIVE_RATIO = 0.87
-"""Share of the dense form's operations up to which the recursive form is faster."""
-ELIMINATION_COST = 1.5
-"""Operations in straight-line code that take the time of one multiplication of a dense elimination, and ..."""
-LOOP_COST = 3
-"""... of one multiplication in the short loops for constraints of a recursion."""
-
 VECTORIZED = {
     Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
     Role.COORDINATE_CHANGE, Role.STATE_RATES, Role.OUTPUT,
 }  # fmt: skip
 """The functions that are also evaluated for batches of states, in the lanes of vectors; see lanes/lane_equations.h."""
-
-N_EXAMPLES = 4
-"""Points at which sparse Jacobians are evaluated."""
-
-N_POINTS = 8
-"""Pairs of random points at which the constraints' Jacobian is evaluated."""
 
 
 def lower(name: str, equations: Equations, form: str | None = None) -> Program:
@@ -97,30 +69,24 @@ def lower(name: str, equations: Equations, form: str | None = None) -> Program:
     >>> [f.name for f in lower("four_bar", form_equations(four_bar())).functions][:2]
     ['prepare', 'default_inputs']
     """
-    e, v, rank = equations, equations.variables, _rank(equations)
-    is_redundant = rank < len(e.velocities.bias.entries)
+    e, v, chosen = equations, equations.variables, choose_form(name, equations, form)
+    is_redundant = chosen.rank < len(e.velocities.bias.entries)
     state_rates = e.dynamics.state_rates.entries
     states_need_multipliers = e.tape.depends(state_rates, v.multipliers)
     _check_determined(e, is_redundant, states_need_multipliers)
-    structure = _structure(e, rank)
-    costs = _costs(e, rank, structure)
-    form = form or min(costs, key=costs.__getitem__)
-    if form not in costs:
-        raise ModelError(f"{name} has no {form} form; it has: {', '.join(costs)}.")
-    if form != "sparse":
-        structure = None
     pool = _Nodes(e.tape, {leaf.node for leaf in v.parameters}.__contains__)
     drafts = _Drafts(e, pool.contains)
-    factors = _draft_functions(drafts, structure, e.dynamics.recursion if form == "recursive" else None)
+    recursion = e.dynamics.recursion if chosen.kind == "recursive" else None
+    factors = _draft_functions(drafts, chosen.structure, recursion)
     constants, prepare = _constants(e, pool, drafts)
     return Program(
         name=name,
-        sizes=_sizes(e, rank, len(constants.nodes)),
+        sizes=_sizes(e, chosen.rank, len(constants.nodes)),
         functions=(prepare, *drafts.functions(constants)),
         constants=constants,
         position_rows=e.positions.rows,
-        pivot_order=_pivot_order(e, rank, structure),
-        structure=structure,
+        pivot_order=chosen.pivot_order,
+        structure=chosen.structure,
         factors=factors,
         states_need_solution=e.tape.depends(state_rates, (*v.accelerations, *v.multipliers)),
         states_need_multipliers=states_need_multipliers,
@@ -393,75 +359,6 @@ class _Drafts:
         )
 
 
-def _rank(e: Equations) -> int:
-    """The number of constraints that are not redundant: that of dependent speeds, or the rank of J if it is smaller.
-
-    The rank is that at a random point. `verify` tests it at states that satisfy the constraints.
-    """
-    n_u, entries = len(e.variables.speeds), e.velocities.jacobian.entries
-    rows = [entries[i : i + n_u] for i in range(0, len(entries), n_u)]
-    return min(e.velocities.n_dependent_speeds, find_rank(e.tape, rows))
-
-
-def _pivot_order(e: Equations, rank: int, structure: Structure | None) -> PivotOrder:
-    """A pivot order for J at random points, some of them near zero coordinates, where models often start.
-
-    Constraints may be redundant only where loops are closed: then it is that at closed states, if any are known.
-    """
-    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
-    if structure is not None or n_c > MAX_CONSTRAINTS:
-        return find_pivot_order(n_c, n_u, rank, [])  # it is not used
-    entries = e.velocities.jacobian.entries
-    closed = [*_evaluated(e, entries, e.positions.closed_states if rank < n_c else ())]
-    jacobians = [
-        [numbers[i : i + n_u] for i in range(0, len(numbers), n_u)]
-        for numbers in closed or _at_random_points(e, entries)
-    ]
-    return find_pivot_order(n_c, n_u, rank, jacobians)
-
-
-def _at_random_points(e: Equations, entries: Sequence[Scalar]) -> Iterator[list[float]]:
-    """Numbers for scalars at random points; where they have no value, none."""
-    return _evaluated(e, entries, _random_points(e))
-
-
-def _random_points(e: Equations) -> Iterator[dict[Scalar, float]]:
-    """Random points, some of them near zero coordinates."""
-    v, generator = e.variables, random.Random(0)
-    for size in (0.05, 1.0) * N_POINTS:
-        values = {leaf: generator.uniform(0.1, 1.0) for leaf in (v.time, *v.speeds, *v.parameters, *v.inputs)}
-        yield values | {leaf: generator.uniform(-size, size) for leaf in v.coordinates}
-
-
-def _evaluated(
-    e: Equations, entries: Sequence[Scalar], points: Iterable[Mapping[Scalar, float]]
-) -> Iterator[list[float]]:
-    for values in points:
-        numbers = e.tape.evaluate(entries, values)
-        if all(map(math.isfinite, numbers)):  # some expressions have no value there
-            yield numbers
-
-
-def _structure(e: Equations, rank: int) -> Structure | None:
-    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
-    if rank < n_c:
-        return None  # redundant constraints need pivoting
-    mass = tuple((i, j) for i in range(n_u) for j in range(i + 1) if e.dynamics.mass_matrix.entries[i * n_u + j])
-    jacobian = tuple((i, j) for i in range(n_c) for j in range(n_u) if e.velocities.jacobian.entries[i * n_u + j])
-    examples = [_example(e, values) for values in itertools.islice(_random_points(e), N_EXAMPLES if n_c else 0)]
-    return find_structure(n_u, n_c, mass, jacobian, examples)
-
-
-def _example(e: Equations, values: Mapping[Scalar, float]) -> list[list[float]]:
-    """J at a point, with random entries in rows that have no value there: parameters need not fit each other."""
-    n_u, entries, generator = len(e.variables.speeds), e.velocities.jacobian.entries, random.Random(0)
-    rows = []
-    for row in (entries[i : i + n_u] for i in range(0, len(entries), n_u)):
-        found = next(_evaluated(e, row, [values]), None)
-        rows.append(found or [generator.uniform(0.5, 1.0) if entry else 0.0 for entry in row])
-    return rows
-
-
 def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]:
     """The mass matrix and the constraint Jacobian in the form that `dynamics` returns."""
     if structure is None:
@@ -470,41 +367,6 @@ def _entries(e: Equations, structure: Structure | None) -> tuple[Result, Result]
     mass = tuple(e.dynamics.mass_matrix.entries[i * n_u + j] for i, j in structure.mass_entries)
     jacobian = tuple(e.velocities.jacobian.entries[i * n_u + j] for i, j in structure.jacobian_entries)
     return Result("mass_matrix", (len(mass),), mass), Result("constraint_jacobian", (len(jacobian),), jacobian)
-
-
-def _costs(e: Equations, rank: int, structure: Structure | None) -> dict[str, float]:
-    """The time to form and solve the equations in each form they have, in operations of straight-line code."""
-    n_u, n_c = len(e.variables.speeds), len(e.velocities.bias.entries)
-    d, count, recursion = e.dynamics, e.tape.count_operations, e.dynamics.recursion
-    common = (*d.coordinate_rates.entries, *e.velocities.jacobian.entries, *e.velocities.acceleration_bias.entries)
-    formed = count([*common, *d.forcing.entries, *d.mass_matrix.entries])
-    costs = {"dense": formed + ELIMINATION_COST * solution_cost(n_u, n_c, None)}
-    if structure is not None:
-        costs["sparse"] = formed + ELIMINATION_COST * solution_cost(n_u, n_c, structure)
-    # Redundant constraints need pivoting, and a recursion a regular M.
-    if recursion is not None and rank == n_c and _is_regular(e, recursion):
-        n_jacobian = sum(map(bool, e.velocities.jacobian.entries))
-        of_solution = count(recursion.solution.entries) - count(recursion.pivots.entries)
-        formed = count([*common, *recursion.forcing.entries, *recursion.solution.entries])
-        costs["recursive"] = (
-            formed + LOOP_COST * recursive_cost(n_u, n_c, n_jacobian, of_solution)
-        ) / MAX_RECURSIVE_RATIO
-    return costs
-
-
-def _is_regular(e: Equations, recursion: Recursion) -> bool:
-    """Whether M is regular beyond rounding errors at random points: constraints may be substituted into velocities.
-
-    Random numbers need not be the inertia of a body, so pivots may be negative.
-    """
-    n_u = len(e.variables.speeds)
-    diagonal = [e.dynamics.mass_matrix.entries[i * n_u + i] for i in range(n_u)]
-    pairs = [
-        (pivot, size)
-        for numbers in itertools.islice(_at_random_points(e, [*recursion.pivots.entries, *diagonal]), 2)
-        for pivot, size in zip(numbers[:n_u], numbers[n_u:], strict=True)
-    ]
-    return all(abs(pivot) > MIN_PIVOT_RATIO * abs(size) for pivot, size in pairs)
 
 
 class _Nodes:

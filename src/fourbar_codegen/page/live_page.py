@@ -35,7 +35,7 @@ from fourbar_codegen.page.webassembly import page_module
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, VECTORS, EventRow, Watched
 from fourbar_codegen.simulation.events import EventLike, named_events
 from fourbar_codegen.simulation.simulate import simulate
-from fourbar_codegen.views.frames import ARROW, ENERGY, panel_names, vector_title
+from fourbar_codegen.views.frames import ARROW
 from fourbar_codegen.views.html_page import (
     FRAMES_PER_SECOND,
     MAX_FRAMES,
@@ -45,6 +45,7 @@ from fourbar_codegen.views.html_page import (
     html_text,
     scene_data,
 )
+from fourbar_codegen.views.panels import ENERGY, panel_names, vector_title
 from fourbar_codegen.views.scene import Scene, known_points, scene
 
 if TYPE_CHECKING:

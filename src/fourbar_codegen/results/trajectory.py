@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 else:
     FuncAnimation = Figure = DataFrame = Dataset = Any
 
-__all__ = ["Trajectory", "make_trajectory"]
+__all__ = ["Trajectory"]
 
 INTERPOLATION_RTOL = 0.01
 """Interpolation errors of more than this share of a state's range cause a warning."""
@@ -484,10 +484,3 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
             ModelWarning,
             stacklevel=4,
         )
-
-
-def make_trajectory(**attributes: Any) -> Trajectory:
-    """A `Trajectory` from all its attributes; setting them one by one would take a tenth of a short run."""
-    trajectory = Trajectory.__new__(Trajectory)
-    object.__setattr__(trajectory, "__dict__", attributes)
-    return trajectory

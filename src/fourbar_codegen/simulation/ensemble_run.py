@@ -8,7 +8,7 @@ import threading
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -212,7 +212,8 @@ def _sources(model: Kernel, inputs: Mapping[Any, Any], n: int) -> list[object]:
     return sources
 
 
-class _Results(NamedTuple):
+@dataclass(frozen=True)
+class _Results:
     """Samples, statuses, messages and numbers of evaluations of all members, and the rows of an `Ensemble`'s events."""
 
     y: Floats
@@ -374,18 +375,20 @@ def _on_engine(runs: _Runs, parallel: Any, bar: Any) -> _Results:
 
     blocks = [slice(begin, begin + BLOCK) for begin in range(0, len(runs.states), BLOCK)]
     tasks = (delayed(_block)(number, runs.block(members)) for number, members in enumerate(blocks))
-    parts: dict[int, _Results] = {}
+    arrived: dict[int, _Results] = {}
     for number, part in parallel(tasks):  # in order of arrival
-        parts[number] = part
+        arrived[number] = part
         bar.update(len(part.y))
-    y, status, messages, nfev, events = zip(*(parts[number] for number in range(len(blocks))), strict=True)
-    first = np.repeat([block.start for block in blocks], [len(rows) for rows in events])
-    found = np.concatenate(events)
-    found[:, 0] += first
+    parts = [arrived[number] for number in range(len(blocks))]
+    events = np.concatenate([part.events for part in parts])
+    events[:, 0] += np.repeat([block.start for block in blocks], [len(part.events) for part in parts])
     return _Results(
-        np.concatenate(y), np.concatenate(status), [*itertools.chain(*messages)], np.concatenate(nfev),
-        found[np.argsort(found[:, 1], kind="stable")],
-    )  # fmt: skip
+        y=np.concatenate([part.y for part in parts]),
+        status=np.concatenate([part.status for part in parts]),
+        messages=[message for part in parts for message in part.messages],
+        nfev=np.concatenate([part.nfev for part in parts]),
+        events=events[np.argsort(events[:, 1], kind="stable")],
+    )
 
 
 def _block(number: int, runs: _Runs) -> tuple[int, _Results]:

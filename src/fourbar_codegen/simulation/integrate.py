@@ -17,7 +17,7 @@ from fourbar_codegen.kernel.inputs import bind
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import Directions, locked_parameters, with_probes
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
-from fourbar_codegen.results.trajectory import Trajectory, make_trajectory
+from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.enumerations import STIFF, StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.events import Watch, watched_quantity
@@ -291,7 +291,7 @@ class _Integration:
             # Once they are not finite, they do not become finite again.
             if t.size and status >= 0 and not np.isfinite(derivatives[..., -1]).all():
                 message += NOT_FINITE.format(t[np.flatnonzero(~np.isfinite(derivatives).all(axis=(0, 1)))[0]])
-        return make_trajectory(
+        return Trajectory(
             kernel=self.model,
             parameters=start.parameters,
             t=t,

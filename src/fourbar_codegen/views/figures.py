@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import name_of, positive
 from fourbar_codegen.interface.progress import QUIET_SECONDS
-from fourbar_codegen.views.frames import Panel, drawing, equal_times, panels
+from fourbar_codegen.views.frames import equal_times, frames_of
+from fourbar_codegen.views.panels import Panel, panels
 from fourbar_codegen.views.scene import SYMBOLS, Scene, View, known_points, scene, view_of
 
 if TYPE_CHECKING:
@@ -222,7 +223,7 @@ def plot_paths(trajectory: Trajectory, points: Sequence[str] = ()) -> Figure:
     >>> figure = run.plot_paths(["link3_masscenter"])  # doctest: +SKIP
     """
     points = known_points(trajectory.kernel, points)
-    drawn = drawing(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
+    drawn = frames_of(trajectory, lambda start, end: np.linspace(start, end, SMOOTH if start != end else 1))
     figure, [axes] = _figure(1, drawn.scene.view)
     _draw_paths(axes, drawn.scene, points)
     _name_paths(axes, drawn.scene)
@@ -561,7 +562,7 @@ def animate(
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
-    drawn = drawing(trajectory, lambda start, end: equal_times(start, end, fps / speed))
+    drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed))
     dimensions = len(drawn.scene.view.axes)
     every = drawn.scene.positions[:, :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))

@@ -1,31 +1,27 @@
-"""The data of pictures of a run: the mechanism at equally spaced times, and curves over time."""
+"""The frames of moving pictures: a run at the times that are shown, its scene, and arrows of forces."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory
-from fourbar_codegen.runtime.enumerations import VECTORS, Quantity
 from fourbar_codegen.views.scene import Scene, scene
 
-__all__ = ["Drawing", "Panel", "drawing", "equal_times", "panel_names", "panels", "vector_title"]
+__all__ = ["ARROW", "Frames", "equal_times", "frames_of"]
 
 Floats = NDArray[np.float64]
-
-ENERGY = "Energy (J)"
 
 ARROW = 0.25
 """Length of the largest force's arrow, relative to the size of the mechanism."""
 
 
 @dataclass(frozen=True)
-class Drawing:
+class Frames:
     """A trajectory at the times that are shown.
 
     Attributes
@@ -47,8 +43,8 @@ def equal_times(start: float, end: float, rate: float) -> Floats:
     return np.linspace(start, end, 1 + max(1, round(abs(end - start) * rate)) if start != end else 1)
 
 
-def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Drawing:
-    """The data of pictures at certain times.
+def frames_of(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Frames:
+    """A run at the times of its frames.
 
     Parameters
     ----------
@@ -58,7 +54,7 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
 
     Returns
     -------
-    Drawing
+    Frames
 
     Raises
     ------
@@ -82,63 +78,4 @@ def drawing(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> 
         model.points.index(name): found.view(shown.points[name] + force) for name, force in forces.items() if greatest
     }
     arrows = {point: len(found.positions) + number for number, point in enumerate(tips)}
-    return Drawing(shown, replace(found, positions=np.array([*found.positions, *tips.values()])), arrows)
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Curves in the same axes.
-
-    Attributes
-    ----------
-    title : str
-    curves : dict of str to ndarray, shape (n_t,)
-    is_logarithmic : bool
-        Whether the vertical axis is logarithmic.
-    is_open : bool
-        Whether it is shown at first.
-    """
-
-    title: str
-    curves: dict[str, Floats]
-    is_logarithmic: bool = False
-    is_open: bool = True
-
-
-def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
-    """All curves over time: titles, the names of their curves, and whether the axis is logarithmic."""
-    energies = ("kinetic energy", model.title("potential energy"), model.title("total energy"))
-    return [
-        ("Coordinates (rad or m)", model.coordinates, False),
-        ("Speeds (rad/s or m/s)", model.speeds, False),
-        ("Auxiliary states", model.auxiliary_states, False),
-        ("Inputs", model.inputs, False),
-        ("Outputs", model.outputs, False),
-        (ENERGY, energies, False),
-        ("Multipliers of the constraints", tuple(f"lambda{number + 1}" for number in range(model.n_c)), False),
-        (f"{model.residual_label} (units of the constraints)", ("largest residual",), True),
-    ]
-
-
-def vector_title(vector: Quantity) -> str:
-    """The title of the panel of a vector's components."""
-    return f"{vector.description[0].upper()}{vector.description[1:]} ({vector.unit})"
-
-
-def panels(trajectory: Trajectory) -> list[Panel]:
-    """All curves of a trajectory over time: states, inputs, outputs, energy, multipliers, residual; momenta."""
-    residual = np.abs(trajectory.constraint_residual)
-    energies = (trajectory.kinetic_energy, trajectory.potential_energy, trajectory.energy)
-    # Zero is replaced by half the machine epsilon, for the logarithmic axis.
-    largest = [np.maximum(residual.max(axis=0), np.finfo(float).eps / 2)] if len(residual) else []
-    values: list[Sequence[Floats] | Floats] = [trajectory.q, trajectory.u, trajectory.z, trajectory.r]
-    values += [trajectory.outputs, energies, trajectory.multipliers, largest]
-    found = [
-        Panel(title, {n: row for n, row in zip(names, rows, strict=False) if np.isfinite(row).any()}, is_logarithmic)
-        for (title, names, is_logarithmic), rows in zip(panel_names(trajectory.kernel), values, strict=True)
-    ]
-    for vector in VECTORS:
-        rows = dict(zip(vector.components, trajectory.vectors[vector.name], strict=True))
-        known = {name: row for name, row in rows.items() if np.isfinite(row).any()}
-        found.append(Panel(vector_title(vector), known, is_open=False))
-    return [panel for panel in found if panel.curves]
+    return Frames(shown, replace(found, positions=np.array([*found.positions, *tips.values()])), arrows)

@@ -10,8 +10,9 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import is_integer
 from fourbar_codegen.interface.notebook import Page, table
 from fourbar_codegen.results.provenance import attributes
-from fourbar_codegen.views.frames import drawing, panels
+from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.html_page import frame_times, html_text, packed, scene_data
+from fourbar_codegen.views.panels import panels
 
 if TYPE_CHECKING:
     from fourbar_codegen.results.trajectory import Trajectory
@@ -75,7 +76,7 @@ def report_text(trajectory: Trajectory) -> str:
     ModelError
         If there is nothing to show: no points with known positions, or no states.
     """
-    drawn = drawing(trajectory, frame_times)
+    drawn = frames_of(trajectory, frame_times)
     data = {
         "times": packed(drawn.shown.t, "<f8"),
         # Relative to the size of the mechanism, because of the range of single precision.

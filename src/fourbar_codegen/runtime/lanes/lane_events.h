@@ -1,6 +1,8 @@
 /* Events of the runs in lanes: functions are evaluated in all lanes at the points of the least degree of a series, by
- * which most steps have no event; the others are searched as those of a run alone. Included by ensemble.h.
+ * which most steps have no event; the others are searched as those of a run alone.
  */
+
+#include "lanes.h"
 
 /* The weights of an interpolant's coefficients at the points within a step. */
 static void fb_place_points(fb_lane_search *search, const fb_tableau *m)

@@ -11,11 +11,11 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.tape import Scalar, Tape
 from fourbar_codegen.modeling.mechanism import DrawnPoint, Mechanism, Shape
 
-__all__ = ["Picture", "applied_forces", "find_picture"]
+__all__ = ["DrawnPositions", "applied_forces", "find_drawn_positions"]
 
 
 @dataclass(frozen=True)
-class Picture:
+class DrawnPositions:
     """What is drawn of a mechanism.
 
     Attributes
@@ -40,7 +40,7 @@ class Picture:
     is_at_rest: bool
 
 
-def find_picture(mechanism: Mechanism, kinematics: Kinematics) -> Picture:
+def find_drawn_positions(mechanism: Mechanism, kinematics: Kinematics) -> DrawnPositions:
     """The drawn points with their positions, and the shapes between them.
 
     Points whose positions contain symbols unknown to the model are left out, and what is drawn between them.
@@ -60,7 +60,7 @@ def find_picture(mechanism: Mechanism, kinematics: Kinematics) -> Picture:
             shapes.append(replace(shape, points=known))
     unknown = [point.name for number, point in enumerate(mechanism.drawn) if number not in positions and point.name]
     moving = [body.point for body in mechanism.bodies if kinematics.moves(body.point)]
-    return Picture(
+    return DrawnPositions(
         tuple(mechanism.drawn[number] for number in order),
         tuple(positions[number] for number in order),
         tuple(shapes),

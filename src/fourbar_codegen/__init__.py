@@ -17,7 +17,7 @@ from fourbar_codegen.errors import (
     ModelWarning,
     SimulationError,
 )
-from fourbar_codegen.interface.methods import register
+from fourbar_codegen.interface.registered import register
 
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
@@ -136,13 +136,13 @@ _METHODS = {
     "Trajectory.plot_paths": "views.figures:plot_paths",
     "Trajectory.animate": "views.figures:animate",
     "Trajectory.report": "views.report:report",
-    "Trajectory.to_dataframe": "files.tables:to_dataframe",
-    "Trajectory.to_xarray": "files.tables:to_dataset",
+    "Trajectory.to_dataframe": "files.pandas_xarray:to_dataframe",
+    "Trajectory.to_xarray": "files.pandas_xarray:to_dataset",
     "Trajectory._repr_html_": "views.report:table_of_run",
     "Ensemble.model": "compiled_model:model_of",
     "Ensemble.save": "files.save:save_ensemble",
     "Ensemble.plot": "views.figures:plot_ensemble",
-    "Ensemble.to_xarray": "files.tables:ensemble_dataset",
+    "Ensemble.to_xarray": "files.pandas_xarray:ensemble_dataset",
     "Branch.model": "compiled_model:model_of",
     "Branch.save": "files.save:save_branch",
     "Branch.plot_paths": "views.figures:plot_branch",

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import wraps
 from importlib import import_module
 from pathlib import Path
-from types import MethodType
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 from weakref import WeakValueDictionary
 
 from fourbar_codegen.building.loading import kernel_of, load_named
-from fourbar_codegen.interface.methods import Registered
 from fourbar_codegen.interface.notebook import Page, names_table
+from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Json, Layout
 
@@ -38,36 +39,36 @@ if TYPE_CHECKING:
     from fourbar_codegen.simulation.simulate import simulate as _simulate
     from fourbar_codegen.simulation.simulate import stepper as _stepper
 
-    P = ParamSpec("P")
-    R = TypeVar("R")
-
-    def of_kernel(function: Callable[Concatenate[Kernel, P], R]) -> Callable[Concatenate[Any, P], R]:
-        """The type of a function of a kernel as a method of a model."""
-
+P = ParamSpec("P")
+R = TypeVar("R")
 
 __all__ = ["CompiledModel", "facade_of", "load", "model_of"]
 
 
-class _Method:
-    """A function of a kernel as a method of a model: found when it is first asked for, and then an attribute.
+def _of_kernel(function: Callable[Concatenate[Kernel, P], R]) -> Callable[Concatenate[Any, P], R]:
+    """A function of a kernel as a method of a model."""
 
-    So a call takes no longer than one of the function itself.
-    """
+    @wraps(function)
+    def method(self: CompiledModel, *args: P.args, **kwargs: P.kwargs) -> R:
+        return function(self.kernel, *args, **kwargs)
 
-    def __init__(self, module: str | None) -> None:
+    return cast(Callable[Concatenate[Any, P], R], method)
+
+
+class _Later:
+    """A method that calls a function with the kernel; its module is imported when the method is first asked for."""
+
+    def __init__(self, module: str) -> None:
         self._module = module
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self._name = name
+        self._owner, self._name = owner, name
 
-    def __get__(self, model: CompiledModel | None, owner: type | None = None) -> Callable[..., Any]:
-        home = Kernel if self._module is None else import_module(f"fourbar_codegen.{self._module}")
-        function: Callable[..., Any] = getattr(home, self._name)
-        if model is None:
-            return function
-        bound = getattr(model.kernel, self._name) if self._module is None else MethodType(function, model.kernel)
-        model.__dict__[self._name] = bound
-        return bound
+    def __get__(self, model: CompiledModel | None, owner: type) -> Callable[..., Any]:
+        method = _of_kernel(getattr(import_module(f"fourbar_codegen.{self._module}"), self._name))
+        setattr(self._owner, self._name, method)
+        found: Callable[..., Any] = method.__get__(model, owner)
+        return found
 
 
 class CompiledModel:
@@ -143,100 +144,76 @@ class CompiledModel:
     n_l: int
     n_o: int
 
+    rhs = _of_kernel(Kernel.rhs)
+    jacobian = _of_kernel(Kernel.jacobian)
+    parameter_jacobian = _of_kernel(Kernel.parameter_jacobian)
+    input_jacobian = _of_kernel(Kernel.input_jacobian)
+    output_jacobian = _of_kernel(Kernel.output_jacobian)
+    output_parameter_jacobian = _of_kernel(Kernel.output_parameter_jacobian)
+    output_input_jacobian = _of_kernel(Kernel.output_input_jacobian)
+    jvp = _of_kernel(Kernel.jvp)
+    vjp = _of_kernel(Kernel.vjp)
+    mass_matrix = _of_kernel(Kernel.mass_matrix)
+    forcing = _of_kernel(Kernel.forcing)
+    tree_mass_matrix = _of_kernel(Kernel.tree_mass_matrix)
+    tree_forcing = _of_kernel(Kernel.tree_forcing)
+    position_constraints = _of_kernel(Kernel.position_constraints)
+    velocity_constraints = _of_kernel(Kernel.velocity_constraints)
+    constraint_jacobian = _of_kernel(Kernel.constraint_jacobian)
+    multipliers = _of_kernel(Kernel.multipliers)
+    output = _of_kernel(Kernel.output)
+    positions = _of_kernel(Kernel.positions)
+    kinetic_energy = _of_kernel(Kernel.kinetic_energy)
+    potential_energy = _of_kernel(Kernel.potential_energy)
+    momentum = _of_kernel(Kernel.momentum)
+    require_derivatives = _of_kernel(Kernel.require_derivatives)
+    require_products = _of_kernel(Kernel.require_products)
+    require_batch_functions = _of_kernel(Kernel.require_batch_functions)
+
     if TYPE_CHECKING:
-        rhs = of_kernel(Kernel.rhs)
-        jacobian = of_kernel(Kernel.jacobian)
-        parameter_jacobian = of_kernel(Kernel.parameter_jacobian)
-        input_jacobian = of_kernel(Kernel.input_jacobian)
-        output_jacobian = of_kernel(Kernel.output_jacobian)
-        output_parameter_jacobian = of_kernel(Kernel.output_parameter_jacobian)
-        output_input_jacobian = of_kernel(Kernel.output_input_jacobian)
-        jvp = of_kernel(Kernel.jvp)
-        vjp = of_kernel(Kernel.vjp)
-        mass_matrix = of_kernel(Kernel.mass_matrix)
-        forcing = of_kernel(Kernel.forcing)
-        tree_mass_matrix = of_kernel(Kernel.tree_mass_matrix)
-        tree_forcing = of_kernel(Kernel.tree_forcing)
-        position_constraints = of_kernel(Kernel.position_constraints)
-        velocity_constraints = of_kernel(Kernel.velocity_constraints)
-        constraint_jacobian = of_kernel(Kernel.constraint_jacobian)
-        multipliers = of_kernel(Kernel.multipliers)
-        output = of_kernel(Kernel.output)
-        positions = of_kernel(Kernel.positions)
-        kinetic_energy = of_kernel(Kernel.kinetic_energy)
-        potential_energy = of_kernel(Kernel.potential_energy)
-        momentum = of_kernel(Kernel.momentum)
-        require_derivatives = of_kernel(Kernel.require_derivatives)
-        require_products = of_kernel(Kernel.require_products)
-        require_batch_functions = of_kernel(Kernel.require_batch_functions)
-        ode = of_kernel(_ode)
-        initial_state = of_kernel(_initial_state)
-        initial_state_derivatives = of_kernel(_initial_state_derivatives)
-        initial_states = of_kernel(_initial_states)
-        kinematics = of_kernel(_kinematics)
-        inverse_dynamics = of_kernel(_inverse_dynamics)
-        linearize = of_kernel(_linearize)
-        state_space = of_kernel(_state_space)
-        equilibrium = of_kernel(_equilibrium)
-        simulate = of_kernel(_simulate)
-        runner = of_kernel(_runner)
-        trajectory = of_kernel(_trajectory)
-        ensemble = of_kernel(_ensemble)
-        stepper = of_kernel(_stepper)
-        rhs_batch = of_kernel(_rhs_batch)
-        jacobian_batch = of_kernel(_jacobian_batch)
-        parameter_jacobian_batch = of_kernel(_parameter_jacobian_batch)
-        input_jacobian_batch = of_kernel(_input_jacobian_batch)
-        residual_batch = of_kernel(_residual_batch)
-        residual_jacobian_batch = of_kernel(_residual_jacobian_batch)
-        residual_sparsity = of_kernel(_residual_sparsity)
+        ode = _of_kernel(_ode)
+        initial_state = _of_kernel(_initial_state)
+        initial_state_derivatives = _of_kernel(_initial_state_derivatives)
+        initial_states = _of_kernel(_initial_states)
+        kinematics = _of_kernel(_kinematics)
+        inverse_dynamics = _of_kernel(_inverse_dynamics)
+        linearize = _of_kernel(_linearize)
+        state_space = _of_kernel(_state_space)
+        equilibrium = _of_kernel(_equilibrium)
+        simulate = _of_kernel(_simulate)
+        runner = _of_kernel(_runner)
+        trajectory = _of_kernel(_trajectory)
+        ensemble = _of_kernel(_ensemble)
+        stepper = _of_kernel(_stepper)
+        rhs_batch = _of_kernel(_rhs_batch)
+        jacobian_batch = _of_kernel(_jacobian_batch)
+        parameter_jacobian_batch = _of_kernel(_parameter_jacobian_batch)
+        input_jacobian_batch = _of_kernel(_input_jacobian_batch)
+        residual_batch = _of_kernel(_residual_batch)
+        residual_jacobian_batch = _of_kernel(_residual_jacobian_batch)
+        residual_sparsity = _of_kernel(_residual_sparsity)
     else:
-        rhs = _Method(None)
-        jacobian = _Method(None)
-        parameter_jacobian = _Method(None)
-        input_jacobian = _Method(None)
-        output_jacobian = _Method(None)
-        output_parameter_jacobian = _Method(None)
-        output_input_jacobian = _Method(None)
-        jvp = _Method(None)
-        vjp = _Method(None)
-        mass_matrix = _Method(None)
-        forcing = _Method(None)
-        tree_mass_matrix = _Method(None)
-        tree_forcing = _Method(None)
-        position_constraints = _Method(None)
-        velocity_constraints = _Method(None)
-        constraint_jacobian = _Method(None)
-        multipliers = _Method(None)
-        output = _Method(None)
-        positions = _Method(None)
-        kinetic_energy = _Method(None)
-        potential_energy = _Method(None)
-        momentum = _Method(None)
-        require_derivatives = _Method(None)
-        require_products = _Method(None)
-        require_batch_functions = _Method(None)
-        ode = _Method("kernel.inputs")
-        initial_state = _Method("analysis.initial_state")
-        initial_state_derivatives = _Method("analysis.initial_state")
-        initial_states = _Method("analysis.initial_state")
-        kinematics = _Method("analysis.branches")
-        inverse_dynamics = _Method("analysis.inverse_dynamics")
-        linearize = _Method("analysis.linearization")
-        state_space = _Method("analysis.linearization")
-        equilibrium = _Method("analysis.equilibrium")
-        simulate = _Method("simulation.simulate")
-        runner = _Method("simulation.simulate")
-        trajectory = _Method("results.samples")
-        ensemble = _Method("simulation.ensemble_run")
-        stepper = _Method("simulation.simulate")
-        rhs_batch = _Method("simulation.batch")
-        jacobian_batch = _Method("simulation.batch")
-        parameter_jacobian_batch = _Method("simulation.batch")
-        input_jacobian_batch = _Method("simulation.batch")
-        residual_batch = _Method("simulation.batch")
-        residual_jacobian_batch = _Method("simulation.batch")
-        residual_sparsity = _Method("simulation.batch")
+        ode = _Later("kernel.inputs")
+        initial_state = _Later("analysis.initial_state")
+        initial_state_derivatives = _Later("analysis.initial_state")
+        initial_states = _Later("analysis.initial_state")
+        kinematics = _Later("analysis.branches")
+        inverse_dynamics = _Later("analysis.inverse_dynamics")
+        linearize = _Later("analysis.linearization")
+        state_space = _Later("analysis.linearization")
+        equilibrium = _Later("analysis.equilibrium")
+        simulate = _Later("simulation.simulate")
+        runner = _Later("simulation.simulate")
+        trajectory = _Later("results.samples")
+        ensemble = _Later("simulation.ensemble_run")
+        stepper = _Later("simulation.simulate")
+        rhs_batch = _Later("simulation.batch")
+        jacobian_batch = _Later("simulation.batch")
+        parameter_jacobian_batch = _Later("simulation.batch")
+        input_jacobian_batch = _Later("simulation.batch")
+        residual_batch = _Later("simulation.batch")
+        residual_jacobian_batch = _Later("simulation.batch")
+        residual_sparsity = _Later("simulation.batch")
 
     page = Registered[..., Page]()
 
@@ -244,6 +221,8 @@ class CompiledModel:
         self.kernel = kernel
         for name in CompiledModel.__annotations__:
             setattr(self, name, getattr(kernel, name))
+        if type(self) is CompiledModel:  # without a call in between, which takes as long as a right-hand side
+            self.__dict__.update({name: getattr(kernel, name) for name in EVALUATED})
 
     @property
     def path(self) -> Path:
@@ -340,15 +319,46 @@ class CompiledModel:
         )
 
 
+EVALUATED = (
+    "rhs",
+    "jacobian",
+    "parameter_jacobian",
+    "input_jacobian",
+    "output_jacobian",
+    "output_parameter_jacobian",
+    "output_input_jacobian",
+    "jvp",
+    "vjp",
+    "mass_matrix",
+    "forcing",
+    "tree_mass_matrix",
+    "tree_forcing",
+    "position_constraints",
+    "velocity_constraints",
+    "constraint_jacobian",
+    "multipliers",
+    "output",
+    "positions",
+    "kinetic_energy",
+    "potential_energy",
+    "momentum",
+    "require_derivatives",
+    "require_products",
+    "require_batch_functions",
+)
+"""Methods that are the kernel's own."""
+
+_LOCK = Lock()
 _MODELS: WeakValueDictionary[int, CompiledModel] = WeakValueDictionary()
 """By the identity of their kernels, which they keep alive."""
 
 
 def facade_of(kernel: Kernel) -> CompiledModel:
     """The model of a kernel: always the same one, as long as it is in use."""
-    model = _MODELS.get(id(kernel))
-    if model is None:
-        model = _MODELS[id(kernel)] = CompiledModel(kernel)
+    with _LOCK:
+        model = _MODELS.get(id(kernel))
+        if model is None:
+            model = _MODELS[id(kernel)] = CompiledModel(kernel)
     return model
 
 

@@ -126,7 +126,7 @@ def test_shipped_module_on_older_processors_selects_its_version(tutorial, proces
 def test_versions_of_a_kernel_for_each_instruction_set_give_the_same_rates(four_bar, tutorial, tmp_path, built):
     path = four_bar.path if built == "installed" else fb.build_model(fb.models.four_bar(), tmp_path)
     loaded = load_file(path)
-    models = [CompiledModel(Kernel(capsule, loaded.layout)) for capsule in versions(loaded.kernel)]
+    models = [CompiledModel(Kernel(capsule, loaded.layout)) for capsule in versions(loaded.capsule)]
     assert [model.instructions for model in models] == ["baseline", "avx2", "avx512"][: len(models)]
     assert fb.load(path).instructions == models[-1].instructions
     if platform.machine() == "x86_64":
@@ -151,7 +151,7 @@ def test_a_version_that_differs_from_the_equations_is_not_built(
     monkeypatch, tmp_path, part, entry, message, unoptimized
 ):
     """Not only the version that this machine would take is compared."""
-    if len(versions(load_file(fb.load("four_bar").path).kernel)) == 1:
+    if len(versions(load_file(fb.load("four_bar").path).capsule)) == 1:
         pytest.skip("this processor has no AVX2")
     original = fourbar_codegen.export.module.build_extension
 

@@ -25,7 +25,7 @@ from harness.programs import emulator, require, zig_cc
 
 import fourbar_codegen as fb
 from fourbar_codegen.export.c_library import RESERVED, RESERVED_FAMILIES
-from fourbar_codegen.runtime.enumerations import METHODS, STEP_CONTROLLED, Status, Watched
+from fourbar_codegen.runtime.enumerations import EXPLICIT, STEP_CONTROLLED, Status, Watched
 
 STIFF_MODELS = {
     "HIRES": (lambda: first_order("hires", hires, [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0057]), 321.8122),
@@ -412,7 +412,7 @@ def test_c_library_refuses_events_that_are_none(exported):
 
 def test_c_library_without_such_a_method_says_so(exported):
     _, library = exported("four_bar")
-    for method in (-1, len(METHODS)):
+    for method in (-1, len(EXPLICIT)):
         mechanism = library.new()
         mechanism.method = method
         status = library.call("simulate", mechanism, 1.0, 1e-4, 1e-4, None, 0, None)

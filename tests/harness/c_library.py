@@ -6,7 +6,7 @@ import re
 import numpy as np
 
 import fourbar_codegen as fb
-from fourbar_codegen.runtime.enumerations import METHODS, STIFF
+from fourbar_codegen.runtime.enumerations import EXPLICIT, STIFF
 from harness.programs import compile_c
 
 STRICT = ("-std=c99", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Werror")
@@ -108,7 +108,7 @@ class Library:
         arguments = (end, tolerance, tolerance, times, len(times), states, events and ctypes.byref(events))
         if method == STIFF:
             return self.call("simulate_stiff", mechanism, *arguments, (ctypes.c_double * self.stiff_work)())
-        mechanism.method = METHODS.index(method)
+        mechanism.method = EXPLICIT.index(method)
         return self.call("simulate_events", mechanism, *arguments)
 
     def message(self, status):

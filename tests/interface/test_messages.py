@@ -19,7 +19,7 @@ def test_message_at_a_singular_position_gives_options_that_pass_it(four_bar):
     """The tutorial's linkage comes to its singular position at t = 5.34 s."""
     run = four_bar.simulate((0.0, 6.0))
     assert not run.success
-    method, max_step = re.search(r'method="(\w+)" with max_step=(\S+) passes', run.message).groups()
+    method, max_step = re.search(r"method=fb.(\w+)\(step=(\S+)\) passes", run.message).groups()
     assert f"--method {method} --max-step {max_step}" in run.message
     on = four_bar.simulate((0.0, 6.0), method=method, max_step=float(max_step))
     assert on.success

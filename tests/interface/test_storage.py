@@ -18,6 +18,7 @@ from builders.systems import pendulum, slider
 
 import fourbar_codegen as fb
 from fourbar_codegen.building import toolchain
+from fourbar_codegen.files import formats
 
 
 @pytest.fixture(scope="module")
@@ -425,3 +426,17 @@ def test_failed_write_leaves_the_old_file(four_bar, tmp_path, monkeypatch):
         run.save(path)
     assert path.read_text() == old
     assert [p.name for p in tmp_path.iterdir()] == ["run.csv"]
+
+
+def test_new_format_of_files_is_one_file(run, tmp_path, monkeypatch):
+    folder = tmp_path / "formats"
+    folder.mkdir()
+    (folder / "count.py").write_text(
+        "def write_trajectory(trajectory, file):\n    file.write(str(len(trajectory.t)).encode())\n"
+    )
+    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(folder)])
+    monkeypatch.delitem(sys.modules, f"{formats.__name__}.count", raising=False)
+    assert run.save(tmp_path / "run.count").read_text() == str(len(run.t))
+    with pytest.raises(fb.ModelError, match=r"saved as \.csv, .*\.count"):
+        run.save(tmp_path / "run.other")
+    sys.modules.pop(f"{formats.__name__}.count")

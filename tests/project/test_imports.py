@@ -83,7 +83,7 @@ def imports(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
         elif isinstance(node, ast.Call) and re.search(r"import_module$|^_imported$", ast.unparse(node.func)):
             yield from (name.value for name in node.args[:1] if isinstance(name, ast.Constant))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "_Method":  # of CompiledModel
+        elif isinstance(node, ast.Call) and ast.unparse(node.func) == "_Later":  # of CompiledModel
             yield from (f"fourbar_codegen.{name.value}" for name in node.args if name.value)
 
 

@@ -3,13 +3,18 @@
 import dataclasses
 import inspect
 import pickle
+import re
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
 
 import numpy as np
 import pytest
 
 import fourbar_codegen as fb
-from fourbar_codegen import _METHODS
-from fourbar_codegen.compiled_model import _Method
+from fourbar_codegen.building.stored_model import StoredModel
+from fourbar_codegen.compiled_model import EVALUATED, facade_of
+from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
+from fourbar_codegen.modeling.mechanism import Mechanism
 
 NAMES = {
     "CompiledModel": """
@@ -49,6 +54,9 @@ NAMES = {
 """A name leaves this list when CHANGELOG has said for a version that it will."""
 
 
+RESULTS = (fb.Trajectory, fb.Ensemble, fb.Branch, fb.Kinematics, fb.AssemblyModes)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_names_of_models_and_results_are_those_of_the_list(four_bar, name):
     kind = getattr(fb, name)
@@ -63,29 +71,92 @@ def test_methods_of_the_kernel_are_reached_through_the_kernel_alone(four_bar):
     assert four_bar.kernel.layout is four_bar.layout
 
 
-def test_types_and_functions_of_the_models_methods_are_listed_for_the_same_names():
+def methods_of(kind):
+    return [name for name in NAMES[kind].split() if callable(getattr(getattr(fb, kind), name, None))]
+
+
+def test_types_and_modules_of_the_models_methods_are_listed_for_the_same_names():
     """The list for type checkers, which runs never, and the list of where functions are."""
     source = inspect.getsource(fb.CompiledModel)
-    typed, _, found = source.partition("    else:")
-    typed = {line.partition("=")[0].strip() for line in typed.splitlines() if "= of_kernel(" in line}
-    found = {name for name, value in vars(fb.CompiledModel).items() if isinstance(value, _Method)}
-    assert typed == found
+    typed = re.findall(r"^        (\w+) = _of_kernel\(_(\w+)\)", source, flags=re.MULTILINE)
+    found = re.findall(r"^        (\w+) = _Later\(", source, flags=re.MULTILINE)
+    assert [name for name, _ in typed] == [function for _, function in typed] == found
+    of_kernel = re.findall(r"^    (\w+) = _of_kernel\(Kernel\.(\w+)\)", source, flags=re.MULTILINE)
+    assert [name for name, _ in of_kernel] == [function for _, function in of_kernel] == [*EVALUATED]
 
 
-@pytest.mark.parametrize("method", sorted(_METHODS))
-def test_registered_methods_are_declared_where_they_are_registered_for(method):
+def test_public_names_of_the_package_have_a_module_and_a_type():
+    typed = inspect.getsource(fb).partition("if TYPE_CHECKING:")[2].partition("__all__")[0]
+    for name in fb._HOME:
+        assert re.search(rf"\b{name}\b", typed), name
+    assert {*fb.__all__} >= {*fb._HOME}
+
+
+@pytest.mark.parametrize("method", sorted(fb._METHODS))
+def test_registered_methods_are_declared_and_their_functions_exist(method):
     name, _, attribute = method.partition(".")
-    if hasattr(fb, name):
-        assert attribute in vars(getattr(fb, name))
+    [kind] = {kind for kind in (fb.CompiledModel, *RESULTS, fb.Model, Mechanism, StoredModel) if kind.__name__ == name}
+    assert isinstance(inspect.getattr_static(kind, attribute), Registered | RegisteredAttribute)
+    module, _, function = fb._METHODS[method].partition(":")
+    assert callable(getattr(import_module(f"fourbar_codegen.{module}"), function))
+
+
+def test_method_that_nobody_has_registered_is_no_attribute():
+    class Result:
+        draw = Registered[[], None]()
+
+    assert not hasattr(Result(), "draw")
 
 
 def test_help_of_a_method_is_that_of_its_function(four_bar):
-    for name, value in vars(fb.CompiledModel).items():
-        if isinstance(value, _Method):
-            method = getattr(four_bar, name)
-            assert method.__doc__ == getattr(fb.CompiledModel, name).__doc__
-            assert method.__doc__
-            assert "model" not in str(inspect.signature(method)).partition(",")[0]
+    for name in methods_of("CompiledModel"):
+        method = getattr(four_bar, name)
+        assert method.__doc__ == getattr(fb.CompiledModel, name).__doc__
+        assert method.__doc__
+        assert "model" not in str(inspect.signature(method)).partition(",")[0]
+
+
+def test_methods_called_by_the_class_take_a_model(four_bar):
+    x = four_bar.initial_state()
+    np.testing.assert_array_equal(fb.CompiledModel.rhs(four_bar, 0.0, x), four_bar.rhs(0.0, x))
+    np.testing.assert_array_equal(fb.CompiledModel.initial_state(four_bar), x)
+    assert fb.CompiledModel.simulate(four_bar, (0.0, 0.1)).success
+    for name in methods_of("CompiledModel"):
+        with pytest.raises((TypeError, AttributeError, fb.ModelError)):
+            getattr(fb.CompiledModel, name)(None, None)
+
+
+def test_subclass_of_a_model_calls_its_own_methods_each_time(four_bar):
+    called = []
+
+    class Counting(fb.CompiledModel):
+        def rhs(self, *arguments):
+            called.append("rhs")
+            return super().rhs(*arguments)
+
+        def simulate(self, *arguments, **options):
+            called.append("simulate")
+            return super().simulate(*arguments, **options)
+
+    model = Counting(four_bar.kernel)
+    for _ in range(3):
+        assert np.isfinite(model.rhs(0.0, model.initial_state())).all()
+        assert model.simulate((0.0, 0.1)).success
+    assert called == ["rhs", "simulate"] * 3
+
+
+def test_method_that_is_replaced_in_the_class_is_the_one_that_is_called(four_bar, monkeypatch):
+    assert four_bar.simulate((0.0, 0.1)).success
+    monkeypatch.setattr(fb.CompiledModel, "simulate", lambda self, span: span)
+    assert four_bar.simulate((0.0, 0.1)) == (0.0, 0.1)
+
+
+def test_model_of_a_kernel_is_one_for_all_threads():
+    for _ in range(20):
+        kernel = fb.load("four_bar").kernel
+        with ThreadPoolExecutor(8) as pool:
+            found = [*pool.map(facade_of, [kernel] * 8)]
+        assert all(model is found[0] for model in found)
 
 
 def test_result_knows_its_model_also_after_pickling(four_bar):

@@ -220,7 +220,7 @@ def test_kernels_of_all_instruction_sets_give_the_same_rates(four_bar):
     """Vectors of 2, 4 and 8 doubles: rounding errors, times the condition of the equations at states of the motion."""
     x = np.tile(four_bar.initial_state(), (50, 1)).T + 0.1 * random_states(four_bar, 50)
     reference = np.array([four_bar.rhs(0.3, column) for column in x.T]).T
-    for kernel in versions(load_file(four_bar.path).kernel):
+    for kernel in versions(load_file(four_bar.path).capsule):
         model = CompiledModel(Kernel(kernel, four_bar.layout))
         np.testing.assert_allclose(model.rhs_batch(0.3, x), reference, rtol=1e-11, atol=1e-11)
 

@@ -190,3 +190,10 @@ def test_gradient_by_held_values_in_jax_equals_the_closed_form(free):
     finally:
         jax.config.update("jax_enable_x64", False)
     np.testing.assert_allclose(gradient, changes(np.array([1.3]))[:, 0, 0], rtol=0, atol=1e-12)
+
+
+def test_member_of_an_ensemble_read_from_a_file_holds_values_between_samples(four_bar, tmp_path):
+    held = {"F": (np.array([0.0, 0.5, 1.0]), np.array([1.0, 0.6, 0.2]), "hold")}
+    member = four_bar.ensemble((0.0, 1.0), inputs=held, t_eval=np.linspace(0.0, 1.0, 11))[0]
+    back = fb.load_trajectory(member.save(tmp_path / "member.npz"))
+    np.testing.assert_array_equal(back.resample([0.48, 0.52])["F"], [1.0, 0.6])

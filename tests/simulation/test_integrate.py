@@ -18,7 +18,7 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 import fourbar_codegen.simulation.integrate
-import fourbar_codegen.simulation.options
+import fourbar_codegen.simulation.run_options
 
 METHODS = ["RK45", "DOP853"]
 
@@ -510,8 +510,8 @@ def test_run_that_stops_before_its_first_step_has_no_dense_output(method):
 
 
 def test_default_limit_of_steps_depends_on_the_method_and_max_step(four_bar, monkeypatch):
-    monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "DOP853", 7)
-    monkeypatch.setitem(fourbar_codegen.simulation.options.STEPS, "ALI3P", 7)
+    monkeypatch.setitem(fourbar_codegen.simulation.run_options.MAX_STEPS, "DOP853", 7)
+    monkeypatch.setitem(fourbar_codegen.simulation.run_options.MAX_STEPS, "ALI3P", 7)
     assert "max_steps = 7 " in four_bar.simulate((0.0, 4.0)).message
     assert four_bar.simulate((0.0, 4.0), max_steps=None).success
     # What max_step asks for is no explosion, whatever the direction.

@@ -478,3 +478,35 @@ def test_ensembles_fits_and_jax_take_methods_as_objects(four_bar):
 def test_methods_that_ensembles_do_not_have_are_refused_as_objects_too(four_bar):
     with pytest.raises(fb.ModelError, match="no method for ensembles 'IDA'"):
         four_bar.ensemble((0.0, 1.0), method=fb.IDA())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("DOP853", {"rtol": -1.0}, "rtol must be a positive"),
+        ("RK45", {"atol": [1e-6, 0.0]}, "atol must be"),
+        ("Radau", {"max_step": 0.0}, "max_step must be positive"),
+        ("Tsit5", {"max_steps": 0}, "max_steps must be a positive integer"),
+        ("ALI3P", {"step": "x"}, "step must be a real number"),
+        ("IDA", {"formulation": "index-2"}, "no formulation 'index-2'"),
+    ],
+)
+def test_options_of_a_method_are_checked_when_it_is_made(name, options, words):
+    with pytest.raises(fb.ModelError, match=words):
+        getattr(fb, name)(**options)
+
+
+def test_methods_with_the_same_options_are_equal_and_pages_and_steppers_take_their_names(four_bar):
+    assert fb.DOP853(atol=np.full(6, 1e-8)) == fb.DOP853(atol=[1e-8] * 6)
+    assert hash(fb.DOP853(atol=np.full(6, 1e-8))) == hash(fb.DOP853(atol=[1e-8] * 6))
+    run = four_bar.simulate((0.0, 1.0), method=fb.DOP853(atol=np.full(6, 1e-8)))
+    np.testing.assert_array_equal(run.y, four_bar.simulate((0.0, 1.0), atol=np.full(6, 1e-8)).y)
+    stepper, named = (four_bar.stepper(0.01, method=method) for method in (fb.Radau(), "Radau"))
+    np.testing.assert_array_equal(stepper.step(), named.step())
+    with pytest.raises(fb.ModelError, match="method Radau has no options here, such as rtol"):
+        four_bar.stepper(0.01, method=fb.Radau(rtol=1e-3))
+
+    class Mine(fb.DOP853):
+        """Somebody's defaults."""
+
+    assert four_bar.simulate((0.0, 0.1), method=Mine(max_step=0.01)).settings["method"] == "DOP853"

@@ -126,7 +126,7 @@ def install(
     folder : Path
         An existing folder.
     later : bytes or None
-        From which `parts.generated` makes the sources of other parts.
+        From which `parts.build` makes the sources of other parts.
     check : callable, optional
         Called with the library before it is moved to the folder; if it raises, the library is discarded. It returns
         at how many states the library was compared with the equations, which becomes one of the numbers.

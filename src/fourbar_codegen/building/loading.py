@@ -34,17 +34,17 @@ class Loaded:
 
     Attributes
     ----------
-    kernel : object
+    capsule : object
         The capsule of its kernel, which may have faster versions; see `evaluator.versions`.
     layout : Layout
     path : Path
     sources : dict of str to str or None
         Text by file name, from which other parts of a library are built; None for a module, which has all parts.
     later : bytes or None
-        From which `generated` makes those that are missing.
+        From which `parts.build` makes those that are missing.
     """
 
-    kernel: object
+    capsule: object
     layout: Layout
     path: Path
     sources: dict[str, str] | None = None
@@ -57,7 +57,7 @@ def kernel_of(loaded: Loaded, *, compares: bool = True) -> Kernel:
     Parts that are compiled later are compared, or not.
     """
     try:
-        capsule = versions(loaded.kernel)[-1]
+        capsule = versions(loaded.capsule)[-1]
     except ValueError as error:
         if isinstance(error, ModelError):  # a compiled model, of another layout
             raise
@@ -213,7 +213,7 @@ def is_named(path: Path, name: str, fingerprint: str) -> bool:
 def _is_held(path: Path) -> bool:
     """Whether the system has loaded a library from this path."""
     try:
-        ctypes.CDLL(str(path), mode=os.RTLD_NOLOAD)
+        ctypes.CDLL(str(path), mode=getattr(os, "RTLD_NOLOAD", 0))
     except OSError:
         return False
     return True

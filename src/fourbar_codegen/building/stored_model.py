@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from fourbar_codegen.interface.methods import Registered
+from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Layout
 

@@ -253,11 +253,8 @@ def _check_plotted(model: CompiledModel, names: tuple[str, ...]) -> None:
 
     from fourbar_codegen.results.trajectory import Trajectory
 
-    nothing = Trajectory(
-        kernel=model.kernel, parameters=None, t=np.zeros(0), y=np.zeros((model.n_x, 0)), r=np.zeros((model.n_r, 0)),
-        sol=None, t_events=None, y_events=None, nfev=0, njev=0, nlu=0, status=0, success=True, message="", settings={},
-        inputs=None,
-    )  # fmt: skip
+    y, r = np.zeros((model.n_x, 0)), np.zeros((model.n_r, 0))
+    nothing = Trajectory(model.kernel, None, np.zeros(0), y, r, settings={}, inputs=None, status=0, message="")
     for name in names:
         if nothing[name].ndim != 1:
             raise fb.ModelError(f"--plot shows scalar quantities over time; {name} has three components.")

@@ -35,10 +35,22 @@ from fourbar_codegen.modeling.gravity import gravity
 from fourbar_codegen.modeling.mechanism import Mechanism, entries_of
 from fourbar_codegen.modeling.model import Model
 
-__all__ = ["layout_of", "operations_of"]
+__all__ = ["layout_of", "names_of", "operations_of"]
 
 LONGEST = 80
 """Characters of a condition that a message writes out; of longer ones it names the variables."""
+
+
+def names_of(model: Model, program: Program) -> dict[str, tuple[str, ...]]:
+    """Names of the entries of all arguments and outputs, in order."""
+    return {
+        "coordinates": model.coordinates,
+        "speeds": model.speeds,
+        "auxiliary_states": model.auxiliary_states,
+        "parameters": tuple(leaf.name for leaf in program.parameters),
+        "inputs": tuple(leaf.name for leaf in program.inputs),
+        "outputs": model.outputs,
+    }
 
 
 def layout_of(

@@ -263,7 +263,7 @@ int ${name}_step_stiff(struct $name *model, double h, double *work);
 
 
 EVENT_WORK = 256
-"""Doubles of workspace for an event: library.h checks that they suffice."""
+"""Doubles of workspace for an event: c_library.h checks that they suffice."""
 
 
 def library_texts(

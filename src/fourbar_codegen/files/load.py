@@ -117,18 +117,17 @@ def _trajectory(model: Kernel, attributes: Mapping[str, Any], columns: Mapping[s
     for name, row in rows.items():
         if row.shape != t.shape:
             raise ValueError(f"its {name} has {len(row)} values for {len(t)} times")
+    status = _entry(attributes, "status", int)
+    if _entry(attributes, "success", bool) != (status >= 0):
+        raise ValueError("its status and its success are not those of a run")
     return Trajectory(
         kernel=model,
         parameters=np.array(values, dtype=float),
         t=t,
         y=np.reshape([rows[name] for name in model.states], (model.n_x, len(t))),
         r=np.reshape([rows[name] for name in model.inputs], (model.n_r, len(t))),
-        sol=None,
-        t_events=None,
-        y_events=None,
         settings={**settings, "t_span": tuple(_entry(settings, "t_span", list))},
         inputs=None,
-        success=_entry(attributes, "success", bool),
         message=_entry(attributes, "message", str),
         **{key: _entry(attributes, key, int) for key in COUNTS},
     )

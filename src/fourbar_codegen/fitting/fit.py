@@ -39,7 +39,7 @@ from fourbar_codegen.kernel.sensitivity import (
 )
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.simulation.methods import Method
-from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 from fourbar_codegen.simulation.simulate import run
 
 if TYPE_CHECKING:

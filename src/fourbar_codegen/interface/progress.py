@@ -56,8 +56,9 @@ class Progress:
         self._stage, self._entered = name, time.monotonic()
 
     def _log(self) -> None:
-        logging = sys.modules.get("logging")  # if it is not imported, nobody listens
-        if logging is not None and self._stage is not None:
+        if self._stage is not None:
+            import logging  # takes some milliseconds, and only long tasks have stages
+
             took = time.monotonic() - self._entered
             logging.getLogger("fourbar_codegen").info("%s: %s took %.3f s", self._task, self._stage, took)
 

@@ -25,7 +25,7 @@ from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import independent_states, moving_breakpoints
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.simulation.methods import Method
-from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 
 __all__ = ["JaxModel", "to_jax"]
 

@@ -81,6 +81,9 @@ class Kernel(Functions):
         self.ranges: dict[str, tuple[float, float] | None] = {e.name: e.range for e in layout.parameters}
         self.descriptions: dict[str, str] = {e.name: e.description for e in layout.parameters}
 
+    def __repr__(self) -> str:
+        return f"<Kernel of {self.name}>"
+
     @property
     def path(self) -> Path:
         """The extension module, or the library of `compile_model`."""

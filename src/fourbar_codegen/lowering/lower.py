@@ -18,7 +18,6 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.tape import ONE, Leaf, Result, Scalar, Tape, operands, operations_of
 from fourbar_codegen.lowering.angles import add_angles
 from fourbar_codegen.lowering.cse import eliminate_common_subexpressions
-from fourbar_codegen.lowering.form import choose_form
 from fourbar_codegen.lowering.program import (
     Array,
     Factors,
@@ -29,6 +28,7 @@ from fourbar_codegen.lowering.program import (
     Structure,
     fits_lanes,
 )
+from fourbar_codegen.lowering.solution_form import choose_form
 from fourbar_codegen.runtime.enumerations import Needs, Role
 
 __all__ = ["lower", "lower_derivatives", "lower_products"]

@@ -12,7 +12,7 @@ from typing import Literal
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.interface.methods import Registered
+from fourbar_codegen.interface.registered import Registered
 
 __all__ = [
     "Body",

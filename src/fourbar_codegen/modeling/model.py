@@ -17,7 +17,7 @@ from sympy.core.function import AppliedUndef
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_of, slider_range
-from fourbar_codegen.interface.methods import Registered
+from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.system_reader import read_mechanism
 

@@ -24,7 +24,6 @@ from fourbar_codegen.interface.arguments import (
     is_mapping,
     name_of,
     named,
-    one_of,
     slider_range,
 )
 from fourbar_codegen.interface.notebook import Page
@@ -34,6 +33,7 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.page.webassembly import page_module
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, VECTORS, EventRow, Watched
 from fourbar_codegen.simulation.events import EventLike, named_events
+from fourbar_codegen.simulation.methods import Method, name_alone
 from fourbar_codegen.simulation.simulate import simulate
 from fourbar_codegen.views.frames import ARROW
 from fourbar_codegen.views.html_page import (
@@ -96,7 +96,7 @@ def page(
     watch: Sequence[tuple[str, str]] | None = None,
     events: EventLike | Sequence[EventLike] | None = None,
     height: int = 900,
-    method: str = "DOP853",
+    method: str | Method = "DOP853",
 ) -> Page:
     """A live page: one HTML file in which the mechanism is simulated anew while a slider moves.
 
@@ -155,7 +155,7 @@ def page(
     if not is_integer(height) or height < 1:
         raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
     _check_inputs(model, inputs)
-    one_of(method, STEP_CONTROLLED, "method for pages")
+    method = name_alone(method, STEP_CONTROLLED, "method for pages")
     watched = named_events(model, events, "a page")
     file = None if path is None else path_of(path)
     if file is not None and file.suffix.lower() != ".html":

@@ -31,7 +31,7 @@ def comparison(
 
         progress.stage("checking")
         loaded, compared = load_file(module), []
-        for capsule in versions(loaded.kernel):
+        for capsule in versions(loaded.capsule):
             kernel = Kernel(capsule, loaded.layout)
             compared.append(verify(kernel, equations, derivatives))
             if not kernel.lacks_batch_functions:
@@ -55,6 +55,6 @@ def not_compared(name: str) -> str:
 
 
 def warn(sentences: Iterable[str], level: int) -> None:
-    """Warn about inconsistent kinematics, on the caller's line."""
+    """Warn with a ModelWarning for each sentence, on the caller's line."""
     for sentence in sentences:
         warnings.warn(sentence, ModelWarning, stacklevel=level)

@@ -82,8 +82,8 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
     """The equations, and the sources that a simulation needs."""
     require_model(model)
     # Imported here, since a model in the cache does not need it.
-    from fourbar_codegen.codegen.c_source import batch_text, header_text, kernel_text
-    from fourbar_codegen.codegen.manifest import layout_of
+    from fourbar_codegen.codegen.c_source import kernel_sources
+    from fourbar_codegen.codegen.manifest import layout_of, names_of
     from fourbar_codegen.dynamics.formation import form_equations
     from fourbar_codegen.lowering.lower import lower
     from fourbar_codegen.lowering.schedule import schedule
@@ -94,20 +94,8 @@ def generate_kernel(model: Model, progress: Progress) -> Generated:
     program = lower(model.name, equations)
     scheduled = schedule(program)
     progress.stage("printing")
-    names = {
-        "coordinates": model.coordinates,
-        "speeds": model.speeds,
-        "auxiliary_states": model.auxiliary_states,
-        "parameters": tuple(leaf.name for leaf in program.parameters),
-        "inputs": tuple(leaf.name for leaf in program.inputs),
-        "outputs": model.outputs,
-    }
-    batch = batch_text(scheduled)
-    sources = {
-        f"{model.name}_kernel.c": kernel_text(scheduled, names),
-        **({f"{model.name}_batch.c": batch} if batch else {}),
-        f"{model.name}_kernel.h": header_text(scheduled, names),
-    }
+    names = names_of(model, program)
+    sources = kernel_sources(scheduled, names)
     layout = layout_of(model, equations, program, names, fingerprint(described(model)))
     return Generated(equations, scheduled, names, sources, layout)
 

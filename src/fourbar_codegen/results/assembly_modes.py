@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import is_integer
-from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
 from fourbar_codegen.interface.notebook import table
+from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.kernel import Kernel
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.interface.arguments import is_integer, name_of
-from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
+from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.inputs import bind, inputs_of, is_by_member
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import Trajectory
@@ -128,7 +128,7 @@ class Ensemble:
         ode = bind(self.kernel, parameters, inputs)
         return Trajectory(
             kernel=self.kernel, parameters=parameters, t=t, y=y, r=ode.inputs_along(t, y), sol=None, t_events=t_events,
-            y_events=y_events, nfev=int(self.nfev[member]), njev=0, nlu=0, status=status, success=status >= 0,
+            y_events=y_events, nfev=int(self.nfev[member]), njev=0, nlu=0, status=status,
             message=self.messages[member], settings=dict(self.settings), inputs=inputs,
         )  # fmt: skip
 

@@ -55,14 +55,16 @@ def trajectory(
     >>> import fourbar_codegen as fb
     >>> import numpy as np
     >>> four_bar = fb.load("four_bar")
-    >>> stepper, times, states, forces = four_bar.stepper(0.01), [0.0], [four_bar.initial_state()], [0.0]
+    >>> stepper, times, states, forces = four_bar.stepper(0.01), [], [], []
     >>> for _ in range(100):
-    ...     forces.append(-20.0 * stepper.x[3])
-    ...     states.append(stepper.step({"F": forces[-1]}))
     ...     times.append(stepper.t)
-    >>> run = four_bar.trajectory(times, np.transpose(states), inputs={"F": (times, [*forces[1:], forces[-1]], "hold")})
+    ...     states.append(stepper.x.copy())
+    ...     forces.append(-20.0 * stepper.x[3])
+    ...     x = stepper.step({"F": forces[-1]})
+    >>> held = {"F": (times, forces, "hold")}
+    >>> run = four_bar.trajectory(times, np.transpose(states), inputs=held)
     >>> run["energy"].shape, bool(abs(run.constraint_residual).max() < 1e-12)
-    ((101,), True)
+    ((100,), True)
     """
     times = numbers(t, "The times t").copy()
     if times.ndim != 1 or not times.size or not np.isfinite(times).all():
@@ -84,14 +86,7 @@ def trajectory(
         t=times,
         y=states.copy(),
         r=bind(model, p, sources).inputs_along(times, states),
-        sol=None,
-        t_events=None,
-        y_events=None,
-        nfev=0,
-        njev=0,
-        nlu=0,
         status=0,
-        success=True,
         message="The times and states were given.",
         settings=settings,
         inputs=sources,

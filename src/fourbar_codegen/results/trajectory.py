@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.interface.arguments import name_of, sample_times
-from fourbar_codegen.interface.methods import Registered, RegisteredAttribute
 from fourbar_codegen.interface.notebook import Page
+from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.gradient import EventSensitivity, KeptSteps, output_sensitivity
 from fourbar_codegen.runtime.enumerations import VECTORS
@@ -61,10 +61,11 @@ class Trajectory:
         Numbers of evaluations of the right-hand side and its Jacobian, and of factorizations.
     status : int
         0: end reached; 1: terminal event; -1: integration failed.
-    success : bool
     message : str
         Why the run ended.
     model : CompiledModel
+    kernel : Kernel
+        Its compiled functions.
     parameters : ndarray or None
         The parameter values, unless they are the defaults.
     settings : dict
@@ -98,17 +99,16 @@ class Trajectory:
     t: Floats
     y: Floats
     r: Floats
-    sol: Any
-    t_events: list[Floats] | None
-    y_events: list[Floats] | None
-    nfev: int
-    njev: int
-    nlu: int
-    status: int
-    success: bool
-    message: str
     settings: Mapping[str, Any]
     inputs: Mapping[Any, Any] | None
+    status: int
+    message: str
+    sol: Any = None
+    t_events: list[Floats] | None = None
+    y_events: list[Floats] | None = None
+    nfev: int = 0
+    njev: int = 0
+    nlu: int = 0
     sensitivity: Mapping[str, Floats] | None = None
     event_sensitivity: list[dict[str, EventSensitivity]] | None = None
     directions: Directions | None = None
@@ -123,6 +123,11 @@ class Trajectory:
     to_dataframe = Registered[[], DataFrame]()
     to_xarray = Registered[[], Dataset]()
     _repr_html_ = Registered[[], str]()
+
+    @property
+    def success(self) -> bool:
+        """Whether the run reached its end, or a terminal event."""
+        return self.status >= 0
 
     @property
     def q(self) -> Floats:
@@ -482,5 +487,5 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
             f"Stored times are up to {h.max():.3g} s apart. Between them {names[worst]} is interpolated with errors of "
             f"about {errors[worst]:.2g}: store more times by t_eval, or take dense_output=True.",
             ModelWarning,
-            stacklevel=4,
+            stacklevel=3,
         )

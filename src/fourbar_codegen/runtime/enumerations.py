@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Self
 
 __all__ = [
     "DIRECTIONS",
-    "METHODS",
+    "EXPLICIT",
     "QUANTITIES",
     "STEP_CONTROLLED",
     "STIFF",
@@ -81,13 +81,13 @@ class Method(_Enum):
     Tsit5 = 2, "of order 5(4), by Tsitouras"
 
 
-METHODS = tuple(method.name for method in Method)
+EXPLICIT = tuple(method.name for method in Method)
 """Their names in Python."""
 
 STIFF = "Radau"
 """The method for stiff equations; see ``steppers/radau.h``."""
 
-STEP_CONTROLLED = (*METHODS, STIFF)
+STEP_CONTROLLED = (*EXPLICIT, STIFF)
 """All methods with step control in C: those of pages and FMUs."""
 
 

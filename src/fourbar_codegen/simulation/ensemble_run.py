@@ -24,12 +24,12 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.runtime import batch
 from fourbar_codegen.runtime.batch import Members, width
-from fourbar_codegen.runtime.enumerations import METHODS
+from fourbar_codegen.runtime.enumerations import EXPLICIT
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.events import Event, EventLike, event_rows, touched
 from fourbar_codegen.simulation.integrate import REACHED_END, TERMINATED
 from fourbar_codegen.simulation.methods import IN_C, Method
-from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 from fourbar_codegen.simulation.simulate import run
 
 __all__ = ["ensemble"]
@@ -139,7 +139,7 @@ def ensemble(
     return Ensemble(
         kernel=model, t=options.t_eval, y=found.y, n_events=None if options.events is None else len(options.events),
         events=found.events, status=found.status, messages=tuple(found.messages), nfev=found.nfev, parameters=p,
-        inputs=inputs, settings=options.settings(),
+        inputs=inputs, settings=options.settings(inputs),
     )  # fmt: skip
 
 
@@ -285,7 +285,7 @@ def _on_threads(runs: _Runs, workers: int, bar: Any) -> _Results:
     # Callables may have internal state, so members with callables do not run concurrently.
     with ThreadPoolExecutor(1 if called else workers) as pool:
         try:
-            in_lanes = options.method in METHODS and width(model) > 1 and not called
+            in_lanes = options.method in EXPLICIT and width(model) > 1 and not called
             breaks = _breaks(runs) if in_lanes else None
             if breaks is not None:
                 moved = states.copy()

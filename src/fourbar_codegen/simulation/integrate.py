@@ -22,7 +22,7 @@ from fourbar_codegen.runtime.enumerations import STIFF, StopReason, Watched
 from fourbar_codegen.runtime.integrator import Ode, Run
 from fourbar_codegen.simulation.events import Watch, watched_quantity
 from fourbar_codegen.simulation.methods import FIXED_STEP, SOLVERS
-from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 from fourbar_codegen.simulation.singularity import singular_message
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ PAUSE_SECONDS = 0.02
 REACHED_END = "The solver successfully reached the end of the integration interval."
 TERMINATED = "A termination event occurred."
 NOT_SOLVED = (
-    "The equations of a step could not be solved: use a shorter max_step, such as {:.1e}. If the motion passes no "
+    "The equations of a step could not be solved: use a shorter step, such as {:.1e}. If the motion passes no "
     'singular position, method="DOP853" selects its step size itself.'
 )
 CHATTERING = (
@@ -304,7 +304,6 @@ class _Integration:
             njev=run.n_jacobians,
             nlu=run.n_factorizations,
             status=status,
-            success=status >= 0,
             message=message + COORDINATES_ALONE if options.formulation == "index-3" else message,
             settings=options.settings(start.inputs),
             inputs=start.inputs or {},

@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 from typing import Any, Literal
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.interface.arguments import one_of
+from fourbar_codegen.interface.arguments import is_integer, longest_step, one_of, positive, tolerance
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, STIFF
 
 __all__ = [
     "ALI3P", "CVODE", "DOP853", "FIXED_STEP", "IDA", "IN_C", "NAMES", "RK45", "SOLVERS", "Method", "Radau", "Tsit5",
-    "name_and_options",
+    "name_alone", "name_and_options",
 ]  # fmt: skip
 
 FIXED_STEP = "ALI3P"
@@ -26,6 +27,9 @@ SOLVERS = ("CVODE", "IDA")
 """The others, of `fourbar_codegen.solvers`."""
 
 NAMES = (*IN_C, *SOLVERS)
+
+FORMULATIONS = ("gear-gupta-leimkuhler", "index-1", "index-3")
+"""Of IDA."""
 
 SCIPYS = {"RK23": "", "BDF": ", jac=ode.jac", "LSODA": ", jac=ode.jac"}
 """Methods of SciPy alone, with their arguments in ``solve_ivp``."""
@@ -43,6 +47,11 @@ class Method:
     """
 
     max_steps: int | Literal["auto"] | None = "auto"
+
+    def __post_init__(self) -> None:
+        most = self.max_steps
+        if not (most is None or (isinstance(most, str) and most == "auto") or (is_integer(most) and most > 0)):
+            raise ModelError(f"max_steps must be a positive integer, 'auto', or None for no limit, not {shown(most)}.")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,6 +71,16 @@ class _WithStepControl(Method):
     rtol: float | None = None
     atol: float | ArrayLike | None = None
     max_step: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.rtol is not None:
+            tolerance(self.rtol, "rtol")
+        if self.atol is not None:
+            each = tolerance(self.atol, "atol", np.size(self.atol))
+            object.__setattr__(self, "atol", each if isinstance(each, float) else tuple(each.tolist()))
+        if self.max_step is not None:
+            longest_step(self.max_step)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,6 +191,11 @@ class ALI3P(Method):
 
     step: float | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.step is not None:
+            positive(self.step, "step")
+
 
 @dataclass(frozen=True, kw_only=True)
 class CVODE(_WithStepControl):
@@ -217,6 +241,11 @@ class IDA(_WithStepControl):
 
     formulation: str | None = None
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.formulation is not None:
+            one_of(self.formulation, FORMULATIONS, "formulation")
+
 
 KNOWN = (DOP853, RK45, Tsit5, Radau, ALI3P, CVODE, IDA)
 
@@ -251,7 +280,7 @@ def name_and_options(method: object, given: dict[str, Any], allowed: tuple[str, 
         method = method()
     if not isinstance(method, KNOWN):
         return str(one_of(method, allowed, what)), given
-    name = str(one_of(type(method).__name__, allowed, what))
+    name = str(one_of(_name(method), allowed, what))
     options = dict(given)
     for option in fields(method):
         value, unset = getattr(method, option.name), option.default
@@ -265,6 +294,29 @@ def name_and_options(method: object, given: dict[str, Any], allowed: tuple[str, 
             )
         options[place] = value
     return name, options
+
+
+def name_alone(method: object, allowed: tuple[str, ...], what: str) -> str:
+    """The name of a method where it has no options: a name, or an object without any.
+
+    Raises
+    ------
+    ModelError
+        If there is no such method, or the object has options.
+    """
+    if isinstance(method, type) and issubclass(method, KNOWN):
+        method = method()
+    if not isinstance(method, KNOWN):
+        return str(one_of(method, allowed, what))
+    name = str(one_of(_name(method), allowed, what))
+    own = [option.name for option in fields(method) if not _is(getattr(method, option.name), option.default)]
+    if own:
+        raise ModelError(f"The {what} {name} has no options here, such as {own[0]}.")
+    return name
+
+
+def _name(method: Method) -> str:
+    return next(kind.__name__ for kind in KNOWN if isinstance(method, kind))
 
 
 def _is(value: object, unset: object) -> bool:

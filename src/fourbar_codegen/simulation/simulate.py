@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.initial_state import initial_state
 from fourbar_codegen.errors import ModelError, ModelWarning
-from fourbar_codegen.interface.arguments import Values, finite_number, name_of, named_array, one_of
+from fourbar_codegen.interface.arguments import Values, finite_number, name_of, named_array
 from fourbar_codegen.interface.progress import QUIET_SECONDS, Progress
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.discontinuities import boundaries, jumping_inputs
@@ -33,14 +33,14 @@ from fourbar_codegen.runtime.enumerations import STIFF
 from fourbar_codegen.runtime.integrator import Stepper
 from fourbar_codegen.simulation.events import EventLike, event_rows, events_of
 from fourbar_codegen.simulation.integrate import integrate
-from fourbar_codegen.simulation.methods import FIXED_STEP, Method
-from fourbar_codegen.simulation.options import RunOptions, RunStart
+from fourbar_codegen.simulation.methods import FIXED_STEP, Method, name_alone
+from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 
 __all__ = ["Runner", "run", "runner", "simulate", "stepper"]
 
 Floats = NDArray[np.float64]
 
-STEPS = ("RK4", STIFF)
+STEPPERS = ("RK4", STIFF)
 """Methods of steppers."""
 
 
@@ -288,14 +288,15 @@ def run(model: Kernel, options: RunOptions, start: RunStart, directions: Directi
     if options.sensitivities and directions is None:
         directions = _directions(model, options, start, state)
     if report is not None:
-        found = integrate(model, ode, state, options, start, progress=report or None, directions=directions)
+        told = None if report is False else report
+        found = integrate(model, ode, state, options, start, progress=told, directions=directions)
     else:
         with Progress(model.name, unwatched=QUIET_SECONDS) as progress:
 
-            def told(t: float) -> None:
+            def show(t: float) -> None:
                 progress.stage(f"simulating, t = {t:.6g} of {end:g} s")
 
-            found = integrate(model, ode, state, options, start, progress=told, directions=directions)
+            found = integrate(model, ode, state, options, start, progress=show, directions=directions)
     if directions is not None:
         states = [(begin, state), *zip(found.t[-1:].tolist(), found.y[:, -1:].T, strict=True)]
         locked = locked_parameters(model, states, p, inputs)
@@ -372,7 +373,7 @@ def stepper(
     inputs: Mapping[Any, InputSource] | None = None,
     events: EventLike | Sequence[EventLike] | None = None,
     constraints: str = "project",
-    method: str = "RK4",
+    method: str | Method = "RK4",
 ) -> Stepper:
     """A stepper with a fixed step size, for control loops and real time.
 
@@ -424,7 +425,7 @@ def stepper(
     h, t = finite_number(h, "h"), finite_number(t, "t")
     if h == 0.0:
         raise ModelError("The step h must not be 0.")
-    one_of(method, STEPS, "method")
+    method = name_alone(method, STEPPERS, "method")
     watched = event_rows(model, events_of(model, events) or ())
     closes = projects(model, constraints)
     p = model.parameter_vector(parameters)

@@ -17,7 +17,7 @@ LOCKED = 0.05
 """A prescribed motion cannot go on if the velocity that it prescribes has this share along the direction in which the
 Jacobian loses rank; where a mechanism passes such a position, the share vanishes with the singular value."""
 
-PASSING = 'method="ALI3P" with max_step=1e-3 passes it (fourbar: --method ALI3P --max-step 1e-3).'
+PASSING = "method=fb.ALI3P(step=1e-3) passes it (fourbar: --method ALI3P --max-step 1e-3)."
 """Advice in messages."""
 
 SENTENCES = {

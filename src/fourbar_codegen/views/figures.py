@@ -32,6 +32,7 @@ __all__ = [
     "plot_branch",
     "plot_branches",
     "plot_ensemble",
+    "plot_fit",
     "plot_kinematics",
     "plot_modes",
     "plot_paths",
@@ -169,7 +170,7 @@ def plot_fit(runs: Sequence[Trajectory], measured: Sequence[Mapping[str, Floats]
                 axes.plot(run.t, columns[name], ".", color=f"C{number}", alpha=0.5, label=f"measured{label}")
                 axes.plot(run.t, run[name], color=f"C{number}", label=f"fitted{label}")
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.suptitle(f"Fit of {runs[0].model.name}")
+    figure.suptitle(f"Fit of {runs[0].kernel.name}")
     return figure
 
 

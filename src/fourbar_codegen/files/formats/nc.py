@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.files.tables import ensemble_dataset, to_dataset
+from fourbar_codegen.files.pandas_xarray import ensemble_dataset, to_dataset
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.provenance import COUNTS, parsed
 from fourbar_codegen.results.trajectory import Trajectory

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.files.pandas_xarray import series
 from fourbar_codegen.files.reserved_names import ATTRIBUTES, OF_MEMBERS, check_free
-from fourbar_codegen.files.tables import series
 from fourbar_codegen.results.ensemble import Ensemble
 from fourbar_codegen.results.kinematics import Branch
 from fourbar_codegen.results.provenance import attributes, branch_attributes, ensemble_attributes, parsed

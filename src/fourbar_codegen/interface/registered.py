@@ -1,4 +1,4 @@
-"""Methods of results that are registered from above: what saves or draws a result stands above results.
+"""Methods that are declared where data are, and whose functions are registered from above, such as `Trajectory.plot`.
 
 xarray registers its accessors in the same way: https://docs.xarray.dev/en/stable/internals/extending-xarray.html
 """
@@ -29,9 +29,11 @@ def register(functions: Mapping[str, str]) -> None:
     _FUNCTIONS.update(functions)
 
 
-def _function_of(home: str) -> Callable[..., Any]:
-    """The function at ``"module:function"``."""
-    module, _, name = home.partition(":")
+def _function_of(key: str) -> Callable[..., Any]:
+    """The function that is registered for ``"Class.method"``."""
+    if key not in _FUNCTIONS:
+        raise AttributeError(f"There is no function for {key}: nothing above has registered one.")
+    module, _, name = _FUNCTIONS[key].partition(":")
     function: Callable[..., Any] = getattr(import_module(module), name)
     return function
 
@@ -52,7 +54,7 @@ class Registered(Generic[P, R]):
         self._key = f"{owner.__name__}.{name}"
 
     def __get__(self, instance: object, owner: type | None = None) -> Callable[P, R]:
-        function = _function_of(_FUNCTIONS[self._key])
+        function = _function_of(self._key)
         return function if instance is None else MethodType(function, instance)
 
 
@@ -63,4 +65,4 @@ class RegisteredAttribute:
         self._key = f"{owner.__name__}.{name}"
 
     def __get__(self, instance: object, owner: type | None = None) -> Any:
-        return self if instance is None else _function_of(_FUNCTIONS[self._key])(instance)
+        return self if instance is None else _function_of(self._key)(instance)

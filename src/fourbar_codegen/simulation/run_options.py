@@ -30,7 +30,7 @@ from fourbar_codegen.kernel.consistency import projects
 from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
-from fourbar_codegen.runtime.enumerations import METHODS
+from fourbar_codegen.runtime.enumerations import EXPLICIT
 from fourbar_codegen.simulation.events import Event, events_of
 from fourbar_codegen.simulation.methods import FIXED_STEP, IN_C, NAMES, SOLVERS, Method, name_and_options
 
@@ -38,7 +38,7 @@ __all__ = ["RunOptions", "RunStart"]
 
 Floats = NDArray[np.float64]
 
-STEPS = dict.fromkeys(IN_C, 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
+MAX_STEPS = dict.fromkeys(IN_C, 1_000_000) | dict.fromkeys(SOLVERS, 100_000)
 """Default for the largest number of steps: seconds of computing time for mechanisms of a few bodies; ..."""
 
 MARGIN = 10
@@ -201,8 +201,8 @@ def _sensitivities(given: Any, gradient: bool, method: str, constraints: str) ->
     except TypeError:
         names = (given,)
     what = "sensitivities" if names else "gradient"
-    if (names or gradient) and method not in METHODS:
-        raise ModelError(f"{method} has no {what}: use {' or '.join(METHODS)}.")
+    if (names or gradient) and method not in EXPLICIT:
+        raise ModelError(f"{method} has no {what}: use {' or '.join(EXPLICIT)}.")
     if (names or gradient) and constraints == "baumgarte":
         raise ModelError(f'constraints="baumgarte" has no {what}: use "project" or "none".')
     return tuple(map(name_of, names))
@@ -235,12 +235,12 @@ def _derivatives(
 def _max_steps(given: object, method: str, span: tuple[float, float], max_step: float) -> int | None:
     """The largest number of steps of a run: by default that of its method."""
     if max_step == math.inf and type(given) is str and given == "auto":  # the usual case
-        return STEPS[method]
+        return MAX_STEPS[method]
     length = abs(span[1] - span[0])
     if max_step < math.ulp(length):
         raise ModelError(f"max_step = {max_step:g} is below the rounding error of the run's {length:g} s.")
     if isinstance(given, str) and given == "auto":
-        return max(STEPS[method], int(min(MARGIN * length / max_step, sys.maxsize)))
+        return max(MAX_STEPS[method], int(min(MARGIN * length / max_step, sys.maxsize)))
     if given is None:
         return None
     if not is_integer(given) or given < 1:

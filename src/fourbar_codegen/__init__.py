@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import Event
     from fourbar_codegen.simulation.methods import ALI3P, CVODE, DOP853, IDA, RK45, Radau, Tsit5
+    from fourbar_codegen.simulation.simulate import Runner
 
 __all__ = [
     "ALI3P",
@@ -66,6 +67,7 @@ __all__ = [
     "ModelWarning",
     "Parameter",
     "Radau",
+    "Runner",
     "SimulationError",
     "Trajectory",
     "Tsit5",
@@ -87,6 +89,7 @@ __all__ = [
 ]
 
 _HOME = {
+    "Runner": "simulation.simulate",
     "ALI3P": "simulation.methods",
     "CVODE": "simulation.methods",
     "DOP853": "simulation.methods",
@@ -130,6 +133,7 @@ _METHODS = {
     "Model._check_velocity_constraints": "dynamics.formation:check_velocity_constraints",
     "Mechanism.forces_along_auxiliary_speeds": "dynamics.unknown_forces:forces_along_auxiliary_speeds",
     "CompiledModel.page": "page.live_page:page",
+    "Runner.model": "compiled_model:model_of",
     "Trajectory.model": "compiled_model:model_of",
     "Trajectory.save": "files.save:save_trajectory",
     "Trajectory.plot": "views.figures:plot_trajectory",

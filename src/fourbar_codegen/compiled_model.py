@@ -19,6 +19,7 @@ from fourbar_codegen.layout import Json, Layout
 if TYPE_CHECKING:
     from fourbar_codegen.analysis.branches import kinematics as _kinematics
     from fourbar_codegen.analysis.equilibrium import equilibrium as _equilibrium
+    from fourbar_codegen.analysis.equilibrium import stability as _stability
     from fourbar_codegen.analysis.initial_state import initial_state as _initial_state
     from fourbar_codegen.analysis.initial_state import initial_state_derivatives as _initial_state_derivatives
     from fourbar_codegen.analysis.initial_state import initial_states as _initial_states
@@ -131,8 +132,8 @@ class CompiledModel:
     points: tuple[str, ...]
     forced_points: tuple[str, ...]
     defaults: Mapping[str, float | None]
-    units: dict[str, str]
-    descriptions: dict[str, str]
+    units: Mapping[str, str]
+    descriptions: Mapping[str, str]
     n_q: int
     n_u: int
     n_z: int
@@ -180,6 +181,7 @@ class CompiledModel:
         linearize = _of_kernel(_linearize)
         state_space = _of_kernel(_state_space)
         equilibrium = _of_kernel(_equilibrium)
+        stability = _of_kernel(_stability)
         simulate = _of_kernel(_simulate)
         runner = _of_kernel(_runner)
         trajectory = _of_kernel(_trajectory)
@@ -202,6 +204,7 @@ class CompiledModel:
         linearize = _Later("analysis.linearization")
         state_space = _Later("analysis.linearization")
         equilibrium = _Later("analysis.equilibrium")
+        stability = _Later("analysis.equilibrium")
         simulate = _Later("simulation.simulate")
         runner = _Later("simulation.simulate")
         trajectory = _Later("results.samples")
@@ -218,11 +221,23 @@ class CompiledModel:
     page = Registered[..., Page]()
 
     def __init__(self, kernel: Kernel) -> None:
-        self.kernel = kernel
-        for name in CompiledModel.__annotations__:
-            setattr(self, name, getattr(kernel, name))
+        self.__dict__.update({name: getattr(kernel, name) for name in CompiledModel.__annotations__}, _kernel=kernel)
         if type(self) is CompiledModel:  # without a call in between, which takes as long as a right-hand side
             self.__dict__.update({name: getattr(kernel, name) for name in EVALUATED})
+
+    def __setattr__(self, name: str, value: object) -> None:
+        if name == "kernel" or name in CompiledModel.__annotations__:
+            raise AttributeError(
+                f"{name} describes the compiled model {self.name}, and cannot be set: give parameters=, inputs= or "
+                "initial values to what is called, or compile another Model."
+            )
+        super().__setattr__(name, value)
+
+    @property
+    def kernel(self) -> Kernel:
+        """The compiled functions. Its methods that are not methods here may change without notice."""
+        kernel: Kernel = self.__dict__["_kernel"]
+        return kernel
 
     @property
     def path(self) -> Path:

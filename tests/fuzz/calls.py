@@ -268,6 +268,7 @@ def calls_of(name: str) -> dict[str, Call]:
     motion = (np.linspace(0.0, 1.0, 3), states, dict.fromkeys(model.speeds[: model.n_u - model.n_c], 0.1))
     calls.add("inverse_dynamics", model.inverse_dynamics, motion=motion, find=[source], parameters=p, may_be_nan=True)
     calls.add("equilibrium", model.equilibrium, guess=x0[: model.n_q], t=0.0, **given, share=0.1)
+    calls.add("stability", model.stability, x=x0, t=0.0, **given, share=0.1)
     run = {"t_span": (0.0, 0.05), "x0": x0, "parameters": p, "inputs": sources, "rtol": 1e-6, "atol": 1e-9}
     times = np.linspace(0.0, 0.05, 3)
     how = {"t_eval": times, "constraints": "project", "max_step": math.inf}

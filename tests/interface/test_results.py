@@ -213,3 +213,27 @@ def test_plot_of_members_that_differ_in_several_parameters_has_percentiles(four_
         ensemble.plot(["P2"])
     with pytest.raises(fb.ModelError, match="names must be"):
         ensemble.plot(5)
+
+
+def test_names_of_quantities_are_in_results_and_results_are_no_sequences_of_them(four_bar):
+    run = four_bar.simulate((0.0, 0.1))
+    for name in ("t", "q1", "F", "energy", "lambda2", "constraint_residual_2", "momentum_x", "P2", "spin"):
+        assert name in run
+        assert len(run[name])
+    assert {*run.columns()} <= {*run._ipython_key_completions_()}
+    assert "q9" not in run
+    with pytest.raises(TypeError, match="not iterable"):
+        iter(run)
+    ensemble = four_bar.ensemble((0.0, 0.1), parameters={"k": [1.0, 2.0]})
+    assert "q1" in ensemble
+    assert "q9" not in ensemble
+    assert "q2" in four_bar.kinematics({"q1": [-0.5, -0.4]})[0]
+
+
+def test_description_of_a_compiled_model_cannot_be_set(four_bar):
+    for name in ("defaults", "states", "n_x", "kernel"):
+        with pytest.raises(AttributeError, match=f"{name} describes the compiled model four_bar"):
+            setattr(four_bar, name, None)
+    for values in (four_bar.defaults, four_bar.units, four_bar.descriptions):
+        with pytest.raises(TypeError):
+            values["k"] = 1.0

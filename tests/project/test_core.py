@@ -1,5 +1,6 @@
 """The core runs without the packages beside it: its tests pass in a copy that does not have them."""
 
+import ast
 import os
 import re
 import shutil
@@ -42,3 +43,28 @@ def test_tests_of_the_core_pass_without_the_packages_beside_it(tmp_path):
     done = subprocess.run(command, capture_output=True, text=True, env=environment, cwd=TESTS.parent)
     assert done.returncode == 0, done.stdout[-3000:]
     assert int(re.search(r"(\d+) passed", done.stdout)[1]) > 1000
+
+
+def lines_of_code(path):
+    """Lines that are neither blank nor of a comment or a docstring."""
+    text = path.read_text(encoding="utf-8")
+    if path.suffix in {".h", ".inc"}:
+        return sum(bool(line.strip()) for line in re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL).splitlines())
+    documented = set()
+    if path.suffix == ".py":
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
+                documented.update(range(node.lineno, node.end_lineno + 1))
+    else:  # Cython
+        text = re.sub(r'""".*?"""', "", text, flags=re.DOTALL)
+    lines = enumerate(text.splitlines(), start=1)
+    return sum(bool(line.strip()) and not line.strip().startswith("#") and n not in documented for n, line in lines)
+
+
+def test_core_has_32000_lines_of_code_at_most():
+    kinds = {".py", ".pyx", ".pxd", ".pyi", ".h", ".inc"}
+    files = [path for path in PACKAGE.rglob("*") if path.suffix in kinds and "prebuilt" not in path.parts]
+    apart = {PACKAGE / name for name in BESIDE} | {PACKAGE / "runtime" / "export", PACKAGE / "__main__.py"}
+    core = [path for path in files if path not in apart and apart.isdisjoint(path.parents)]
+    assert len(core) > 100
+    assert sum(map(lines_of_code, core)) <= 32_000

@@ -26,7 +26,7 @@ NAMES = {
     output_input_jacobian output_jacobian output_parameter_jacobian outputs page parameter_jacobian
     parameter_jacobian_batch parameters path points position_constraints positions potential_energy prescribed
     require_batch_functions require_derivatives require_products residual_batch residual_jacobian_batch
-    residual_sparsity rhs rhs_batch runner simulate speeds state_space states stepper trajectory tree_forcing
+    residual_sparsity rhs rhs_batch runner simulate speeds stability state_space states stepper trajectory tree_forcing
     tree_mass_matrix units velocity_constraints vjp
     """,
     "Trajectory": """
@@ -95,7 +95,11 @@ def test_public_names_of_the_package_have_a_module_and_a_type():
 @pytest.mark.parametrize("method", sorted(fb._METHODS))
 def test_registered_methods_are_declared_and_their_functions_exist(method):
     name, _, attribute = method.partition(".")
-    [kind] = {kind for kind in (fb.CompiledModel, *RESULTS, fb.Model, Mechanism, StoredModel) if kind.__name__ == name}
+    [kind] = {
+        kind
+        for kind in (fb.CompiledModel, *RESULTS, fb.Runner, fb.Model, Mechanism, StoredModel)
+        if kind.__name__ == name
+    }
     assert isinstance(inspect.getattr_static(kind, attribute), Registered | RegisteredAttribute)
     module, _, function = fb._METHODS[method].partition(":")
     assert callable(getattr(import_module(f"fourbar_codegen.{module}"), function))

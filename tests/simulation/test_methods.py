@@ -484,7 +484,7 @@ def test_methods_that_ensembles_do_not_have_are_refused_as_objects_too(four_bar)
     ("name", "options", "words"),
     [
         ("DOP853", {"rtol": -1.0}, "rtol must be a positive"),
-        ("RK45", {"atol": [1e-6, 0.0]}, "atol must be"),
+        ("RK45", {"atol": [1e-6, 0.0]}, "atol must be a positive number, or an array of positive numbers"),
         ("Radau", {"max_step": 0.0}, "max_step must be positive"),
         ("Tsit5", {"max_steps": 0}, "max_steps must be a positive integer"),
         ("ALI3P", {"step": "x"}, "step must be a real number"),
@@ -510,3 +510,8 @@ def test_methods_with_the_same_options_are_equal_and_pages_and_steppers_take_the
         """Somebody's defaults."""
 
     assert four_bar.simulate((0.0, 0.1), method=Mine(max_step=0.01)).settings["method"] == "DOP853"
+
+
+def test_class_for_solve_ivp_is_told_apart_from_the_method(four_bar):
+    with pytest.raises(fb.ModelError, match=r"fb.solvers.IDA is for solve_ivp; a method of runs is 'IDA', or fb.IDA"):
+        four_bar.simulate((0.0, 1.0), method=fb.solvers.IDA)

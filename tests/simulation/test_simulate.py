@@ -529,8 +529,8 @@ def test_trajectory_of_a_control_loop_is_that_of_the_run_with_what_was_held(four
     [
         ([0.0, 1.0], np.zeros((6, 3)), "shape"),
         ([0.0, 1.0, 0.5], np.zeros((6, 3)), "one direction"),
-        ([0.0, np.nan], np.zeros((6, 2)), "finite"),
-        ([0.0, 1.0], np.full((6, 2), np.inf), "finite"),
+        ([0.0, np.nan], np.zeros((6, 2)), r"t\[1\] is not"),
+        ([0.0, 1.0], np.full((6, 2), np.inf), r"q1 at t\[0\] is not"),
         ([], np.zeros((6, 0)), "n_t > 0"),
         ([0.0, 1.0], {"q1": [0.0, 1.0]}, "No value for state q2"),
     ],
@@ -538,3 +538,18 @@ def test_trajectory_of_a_control_loop_is_that_of_the_run_with_what_was_held(four
 def test_trajectory_of_wrong_times_or_states_is_refused(four_bar, t, x, words):
     with pytest.raises(fb.ModelError, match=words):
         four_bar.trajectory(t, x)
+
+
+def test_given_states_that_the_model_does_not_follow_are_interpolated_between_themselves(four_bar):
+    """Held by hand, where the model would fall; a warning that advises more steps of a simulation would mislead."""
+    held = np.tile(four_bar.initial_state(speeds={"u1": 0.0}), (11, 1)).T
+    run = four_bar.trajectory(np.linspace(0.0, 1.0, 11), held)
+    between = run.resample(np.linspace(0.0, 1.0, 101))
+    np.testing.assert_allclose(between.y, held[:, :1] + np.zeros(101), rtol=0, atol=1e-15)
+    assert (between["kinetic_energy"] == 0.0).all()
+
+
+def test_derivatives_of_a_start_without_derivatives_of_the_run_are_refused(four_bar):
+    x0 = four_bar.initial_state()
+    with pytest.raises(fb.ModelError, match="dx0 counts for derivatives of a run"):
+        four_bar.simulate((0.0, 1.0), x0, dx0={"k": np.ones(6)})

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any, Literal, overload
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.continuation import null_space
 from fourbar_codegen.analysis.loop_closure import Loops, mechanism_size, nearest_closed
@@ -17,7 +17,7 @@ from fourbar_codegen.interface.arguments import Values, finite_number, flag, nam
 from fourbar_codegen.kernel.inputs import InputSource, bind, input_sources
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["equilibrium"]
+__all__ = ["equilibrium", "stability"]
 
 Floats = NDArray[np.float64]
 
@@ -302,17 +302,56 @@ def _downhill(
     return np.concatenate((q, begin[n_q:]))
 
 
-def _stability_of(
-    model: Kernel, x: Floats, *, t: float, parameters: Values | None, inputs: Mapping[Any, InputSource] | None
+def stability(
+    model: Kernel,
+    x: ArrayLike,
+    *,
+    t: float = 0.0,
+    parameters: Values | None = None,
+    inputs: Mapping[Any, InputSource] | None = None,
 ) -> str:
-    """Whether an equilibrium is "stable", "unstable" or "neutral", by the eigenvalues of the linearized motion.
+    """Whether an equilibrium is stable, by the eigenvalues of the linearized motion.
 
     That is along the constraints, in a basis of all positions and speeds that satisfy them to first order, whichever
-    coordinates are independent. Stable is every motion with no growing part; neutral, if there are zero eigenvalues.
+    coordinates are independent.
 
     What of an eigenvalue may be rounding errors follows from its condition number, the reciprocal product of its left
     and right unit vectors: little of the slow motion of an overdamped mechanism, whose eigenvalues are far apart.
+
+    Parameters
+    ----------
+    x : array_like, shape (n_x,)
+        The equilibrium, as `equilibrium` returns it.
+    t, parameters, inputs
+        As for `equilibrium`.
+
+    Returns
+    -------
+    {"stable", "unstable", "neutral"}
+        No motion nearby grows; a motion grows; or there are zero eigenvalues, as where positions of equilibrium lie
+        beside it.
+
+    Raises
+    ------
+    ModelError
+        If an argument has a wrong shape or name, or is not finite.
+
+    Source: L. Meirovitch, *Methods of Analytical Dynamics*, 1970 (stability by the first approximation).
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> pendulum = fb.compile_model(fb.models.cartesian_pendulum())
+    >>> [pendulum.stability(pendulum.equilibrium([y, 0.0])) for y in (1.0, -1.0)]
+    ['unstable', 'stable']
     """
+    state = named_array(x, model.states, {}, "state")
+    return _stability_of(model, state, t=finite_number(t, "t"), parameters=parameters, inputs=inputs)
+
+
+def _stability_of(
+    model: Kernel, x: Floats, *, t: float, parameters: Values | None, inputs: Mapping[Any, InputSource] | None
+) -> str:
     from scipy.linalg import eig
 
     n_q, last, p = model.n_q, model.n_q + model.n_u, model.parameter_vector(parameters)

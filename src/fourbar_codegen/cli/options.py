@@ -100,7 +100,7 @@ def _ranges(
 
 def _steps(_: click.Context, __: click.Parameter, text: str) -> int | str | None:
     """A number of steps, "auto", or None for no limit."""
-    if text == "none":
+    if text.lower() == "none":
         return None
     return int(text) if text.isdecimal() else text
 

@@ -27,7 +27,15 @@ from fourbar_codegen.lowering.schedule import (
 )
 from fourbar_codegen.runtime.enumerations import DIRECTIONS, VECTOR, Needs, Role
 
-__all__ = ["derivatives_text", "header_text", "kernel_sources", "kernel_text", "products_text", "version_texts"]
+__all__ = [
+    "batch_text",
+    "derivatives_text",
+    "header_text",
+    "kernel_sources",
+    "kernel_text",
+    "products_text",
+    "version_texts",
+]
 
 INSTRUCTION_SETS = {
     "avx2": ("FB_AVX2", "AVX2 and FMA", ("__AVX2__", "__FMA__")),
@@ -49,7 +57,7 @@ GIVEN = {name: f"at->{name}" for name in ("t", "x", "constants", "r", "accelerat
 
 def kernel_sources(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> dict[str, str]:
     """The C sources of a model's kernel, with batches of states if that gains anything: text by file name."""
-    name, batch = scheduled.program.name, _batch_text(scheduled)
+    name, batch = scheduled.program.name, batch_text(scheduled)
     return {
         f"{name}_kernel.c": kernel_text(scheduled, names),
         **({f"{name}_batch.c": batch} if batch else {}),
@@ -172,7 +180,7 @@ def _macros(scheduled: Schedule) -> str:
     return "".join(f"#define {macro}\n" for macro, is_told in told.items() if is_told)
 
 
-def _batch_text(scheduled: Schedule) -> str | None:
+def batch_text(scheduled: Schedule) -> str | None:
     """The C source that compiles a kernel for batches of states; None if that gains nothing."""
     if not scheduled.has_batches:
         return None

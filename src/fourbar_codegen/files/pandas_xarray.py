@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.errors import ModelError
 from fourbar_codegen.files.reserved_names import OF_MEMBERS, check_free
+from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.results.ensemble import Ensemble, over_members
 from fourbar_codegen.results.provenance import attributes, ensemble_attributes
 from fourbar_codegen.results.trajectory import Trajectory
@@ -47,14 +46,7 @@ def to_dataframe(trajectory: Trajectory) -> pandas.DataFrame:
     (np.float64(-1.3096), 't')
     """
     columns = trajectory.columns()
-    return _imported("pandas", "Tables").DataFrame(columns).set_index("t")
-
-
-def _imported(name: str, what: str) -> Any:
-    try:
-        return import_module(name)
-    except ImportError as error:
-        raise ModelError(f"{what} need {name}: pip install 'fourbar_codegen[data]'.") from error
+    return imported("pandas", "Tables", "data").DataFrame(columns).set_index("t")
 
 
 def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
@@ -81,7 +73,7 @@ def to_dataset(trajectory: Trajectory) -> xarray.Dataset:
     >>> dataset["q1"].sel(time=0.5).shape, dataset["position"].dims
     ((), ('point', 'axis', 'time'))
     """
-    xarray = _imported("xarray", "Datasets")
+    xarray = imported("xarray", "Datasets", "data")
     model = trajectory.kernel
     described = (
         (model.coordinates, trajectory.q, "coordinate"),
@@ -164,7 +156,7 @@ def ensemble_dataset(ensemble: Ensemble) -> xarray.Dataset:
     >>> ensemble.to_xarray()["q1"].dims
     ('member', 'time')
     """
-    xarray = _imported("xarray", "Datasets")
+    xarray = imported("xarray", "Datasets", "data")
     of_time, of_members = series(ensemble), ensemble.by_member
     check_free((*of_time, *of_members), OF_MEMBERS)
     ends = {"success": ensemble.success, "message": np.array(ensemble.messages, dtype=object), "nfev": ensemble.nfev}

@@ -38,7 +38,7 @@ from fourbar_codegen.kernel.sensitivity import (
     require_fixed_breakpoints,
 )
 from fourbar_codegen.results.trajectory import Trajectory
-from fourbar_codegen.simulation.methods import Method
+from fourbar_codegen.simulation.methods import MethodLike
 from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 from fourbar_codegen.simulation.simulate import run
 
@@ -190,7 +190,7 @@ def fit(
     sigma: Mapping[Any, ArrayLike] | None = None,
     loss: str = "linear",
     max_nfev: int | None = None,
-    method: str | Method = "DOP853",
+    method: MethodLike = "DOP853",
     rtol: float | None = None,
     atol: float | None = None,
     constraints: str = "project",
@@ -418,7 +418,7 @@ class _Problem:
         outputs: Sequence[Any] | None,
         sigma: Mapping[Any, ArrayLike] | None,
         *,
-        method: str | Method,
+        method: MethodLike,
         rtol: float | None,
         atol: float | None,
         constraints: str,

@@ -24,7 +24,7 @@ from fourbar_codegen.kernel.inputs import InputSource
 from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.kernel.sensitivity import independent_states, moving_breakpoints
 from fourbar_codegen.results.trajectory import Trajectory
-from fourbar_codegen.simulation.methods import Method
+from fourbar_codegen.simulation.methods import MethodLike
 from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 
 __all__ = ["JaxModel", "to_jax"]
@@ -151,7 +151,7 @@ class JaxModel:
         inputs: Mapping[Any, InputSource] | None = None,
         outputs: Sequence[Any] = (),
         forward: bool = False,
-        method: str | Method = "DOP853",
+        method: MethodLike = "DOP853",
         rtol: float | None = None,
         atol: float | None = None,
         constraints: str = "project",

@@ -77,9 +77,9 @@ class Kernel(Functions):
         self.points: tuple[str, ...] = tuple(entry.name for entry in layout.drawing.points if entry.name)
         self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in layout.drawing.forced_points)
         self.defaults: Mapping[str, float | None] = MappingProxyType({e.name: e.default for e in layout.parameters})
-        self.units: dict[str, str] = {e.name: e.unit for e in layout.parameters}
+        self.units: Mapping[str, str] = MappingProxyType({e.name: e.unit for e in layout.parameters})
         self.ranges: dict[str, tuple[float, float] | None] = {e.name: e.range for e in layout.parameters}
-        self.descriptions: dict[str, str] = {e.name: e.description for e in layout.parameters}
+        self.descriptions: Mapping[str, str] = MappingProxyType({e.name: e.description for e in layout.parameters})
 
     def __repr__(self) -> str:
         return f"<Kernel of {self.name}>"

@@ -33,7 +33,7 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.page.webassembly import page_module
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, VECTORS, EventRow, Watched
 from fourbar_codegen.simulation.events import EventLike, named_events
-from fourbar_codegen.simulation.methods import Method, name_alone
+from fourbar_codegen.simulation.methods import MethodLike, name_alone
 from fourbar_codegen.simulation.simulate import simulate
 from fourbar_codegen.views.frames import ARROW
 from fourbar_codegen.views.html_page import (
@@ -96,7 +96,7 @@ def page(
     watch: Sequence[tuple[str, str]] | None = None,
     events: EventLike | Sequence[EventLike] | None = None,
     height: int = 900,
-    method: str | Method = "DOP853",
+    method: MethodLike = "DOP853",
 ) -> Page:
     """A live page: one HTML file in which the mechanism is simulated anew while a slider moves.
 

@@ -107,6 +107,10 @@ class Ensemble:
             raise ModelError(f"The ensemble has no members, and {name!r} has no values.")
         return over_members(self, lambda member: member[name])
 
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a quantity of this name."""
+        return len(self) > 0 and name in self[0]
+
     def _member(self, key: int) -> Trajectory:
         n = len(self)
         if not -n <= key < n:

@@ -122,6 +122,13 @@ class Branch:
         known = [*model.coordinates, *model.speeds, *model.points]
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(known)}.")
 
+    __iter__ = None  # names are those of columns()
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a quantity of this name."""
+        known = (*self.kernel.coordinates, *self.kernel.speeds, *self.kernel.points)
+        return (name if isinstance(name, str) else getattr(name, "name", None)) in known
+
     def columns(self) -> dict[str, Floats]:
         """All scalar quantities along the drive by name, each of shape (n,).
 

@@ -12,7 +12,7 @@ from fourbar_codegen.errors import ModelError
 from fourbar_codegen.interface.arguments import Values, name_of, named_columns, numbers
 from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, held_inputs, own_source
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.results.trajectory import GIVEN, Trajectory
 
 __all__ = ["trajectory"]
 
@@ -67,17 +67,22 @@ def trajectory(
     ((100,), True)
     """
     times = numbers(t, "The times t").copy()
-    if times.ndim != 1 or not times.size or not np.isfinite(times).all():
-        raise ModelError(f"The times t must be finite, of shape (n_t,) with n_t > 0, not of shape {times.shape}.")
+    if times.ndim != 1 or not times.size:
+        raise ModelError(f"The times t must have shape (n_t,) with n_t > 0, not {times.shape}.")
+    if not np.isfinite(times).all():
+        raise ModelError(f"The times t must be finite; t[{int(np.argmin(np.isfinite(times)))}] is not.")
     steps = np.diff(times)
     if not ((steps >= 0.0).all() or (steps <= 0.0).all()):
         raise ModelError("The times t must go in one direction.")
     states = named_columns(x, model.states, {}, "state", times.size)
-    if states.shape != (model.n_x, times.size) or not np.isfinite(states).all():
-        raise ModelError(f"The states x must be finite, of shape {(model.n_x, times.size)}, not {states.shape}.")
+    if states.shape != (model.n_x, times.size):
+        raise ModelError(f"The states x must have shape {(model.n_x, times.size)}, not {states.shape}.")
+    if not np.isfinite(states).all():
+        row, column = np.argwhere(~np.isfinite(states))[0].tolist()
+        raise ModelError(f"The states x must be finite; {model.states[row]} at t[{column}] is not.")
     p = model.parameter_vector(parameters)
     sources = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
-    settings: dict[str, Any] = {"t_span": (float(times[0]), float(times[-1])), "constraints": "none"}
+    settings: dict[str, Any] = {"method": GIVEN, "t_span": (float(times[0]), float(times[-1])), "constraints": "none"}
     if held := held_inputs(sources):
         settings["held"] = held
     return Trajectory(

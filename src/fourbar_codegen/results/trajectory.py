@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -31,7 +31,10 @@ if TYPE_CHECKING:
 else:
     FuncAnimation = Figure = DataFrame = Dataset = Any
 
-__all__ = ["Trajectory"]
+__all__ = ["GIVEN", "Trajectory"]
+
+GIVEN = "none: given states"
+"""In place of a method, where states were not simulated."""
 
 INTERPOLATION_RTOL = 0.01
 """Interpolation errors of more than this share of a state's range cause a warning."""
@@ -125,6 +128,11 @@ class Trajectory:
     _repr_html_ = Registered[[], str]()
 
     @property
+    def _is_given(self) -> bool:
+        """Whether times and states were given, and not simulated: they need not follow the equations of motion."""
+        return self.settings.get("method") == GIVEN
+
+    @property
     def success(self) -> bool:
         """Whether the run reached its end, or a terminal event."""
         return self.status >= 0
@@ -162,6 +170,9 @@ class Trajectory:
             if key in names:
                 values: Floats = getattr(self, rows)[names.index(key)]
                 return values
+        if key in ("t", "kinetic_energy", "potential_energy", "energy"):  # without all the others
+            values = getattr(self, key)
+            return values
         columns = self.columns()
         if key in columns:
             return columns[key]
@@ -171,8 +182,20 @@ class Trajectory:
             return self.vectors[key]
         raise ModelError(f"There is no quantity {key!r}; there are {', '.join(self._ipython_key_completions_())}.")
 
+    __iter__ = None  # names are those of columns()
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is a quantity of this name."""
+        return (name if isinstance(name, str) else getattr(name, "name", None)) in self._ipython_key_completions_()
+
     def _ipython_key_completions_(self) -> list[str]:
-        return list(dict.fromkeys((*self.columns(), *self.kernel.points, *self.vectors)))
+        model = self.kernel
+        n_residuals = model.n_h + len(model.layout.constraints.velocity_rows)
+        names = ["t", *model.states, *model.inputs, *model.outputs, *(f"lambda{i + 1}" for i in range(model.n_c))]
+        names += [f"constraint_residual_{i + 1}" for i in range(n_residuals)]
+        names += ["kinetic_energy", "potential_energy", "energy"]
+        names += [name for vector in VECTORS for name in vector.components]
+        return list(dict.fromkeys((*names, *model.points, *(vector.name for vector in VECTORS))))
 
     @cached_property
     def _derived(self) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -286,9 +309,10 @@ class Trajectory:
 
         States are interpolated with ``sol`` if it exists, otherwise with cubic Hermite polynomials through the stored
         states and their rates, whose error is proportional to the fourth power of the distance between stored states.
-        They are projected onto the constraints if the run was. Inputs are evaluated from their sources. Sensitivities
-        are kept if there is ``sol``. For a run that was read from a file, inputs that are not their default expressions
-        are held, if they were tables of the kind "hold", or interpolated linearly; if one of these prescribes a motion,
+        They are projected onto the constraints if the run was. Given states that do not follow the equations of motion
+        are interpolated by monotone cubic polynomials. Inputs are evaluated from their sources. Sensitivities are kept
+        if there is ``sol``. For a run that was read from a file, inputs that are not their default expressions are
+        held, if they were tables of the kind "hold", or interpolated linearly; if one of these prescribes a motion,
         states are not projected.
 
         Parameters
@@ -329,7 +353,13 @@ class Trajectory:
         else:
             rates = _rates(ode, stored, self.y.T[places])
             states = _hermite(stored, self.y[:, places], rates, times)
-            _warn_of_gaps(self.kernel.states, ode, stored, self.y[:, places], rates)
+            share, error, worst = _largest_error(ode, stored, self.y[:, places], rates)
+            if share > INTERPOLATION_RTOL and self._is_given:
+                from scipy.interpolate import PchipInterpolator
+
+                states = PchipInterpolator(stored, self.y[:, places], axis=1)(times)
+            elif share > INTERPOLATION_RTOL:
+                _warn_of_gaps(self.kernel.states[worst], stored, error)
         if self.settings["constraints"] == "project" and not prescribed:
             states = np.reshape([ode.project(t, x) for t, x in zip(times, states.T, strict=True)], states.T.shape).T
         r = ode.inputs_along(times, states)
@@ -469,8 +499,8 @@ def _hermite(t: Floats, y: Floats, rates: Floats, times: Floats) -> Floats:
     return values
 
 
-def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: Floats) -> None:
-    """Warn if stored times are too far apart for the interpolation between them.
+def _largest_error(ode: Any, t: Floats, y: Floats, rates: Floats) -> tuple[float, float, int]:
+    """The largest error of the interpolation, relative to the range of a state, and absolute; and the state's number.
 
     With the fourth derivative D and steps h, the polynomial errs by D h^4 / 384 in the middle of an interval, and its
     derivative by D h^3 / 128 at a quarter of it, which the right-hand side tells.
@@ -482,10 +512,14 @@ def _warn_of_gaps(names: Sequence[str], ode: Any, t: Floats, y: Floats, rates: F
     errors = np.nan_to_num(np.abs(slopes - exact) * h / 3.0).max(axis=1)
     share = errors / np.maximum(np.ptp(y, axis=1), MIN_RANGE)
     worst = int(np.argmax(share))
-    if share[worst] > INTERPOLATION_RTOL:
-        warnings.warn(
-            f"Stored times are up to {h.max():.3g} s apart. Between them {names[worst]} is interpolated with errors of "
-            f"about {errors[worst]:.2g}: store more times by t_eval, or take dense_output=True.",
-            ModelWarning,
-            stacklevel=3,
-        )
+    return float(share[worst]), float(errors[worst]), worst
+
+
+def _warn_of_gaps(name: str, t: Floats, error: float) -> None:
+    """Warn that stored times are too far apart for the interpolation between them."""
+    warnings.warn(
+        f"Stored times are up to {np.diff(t).max():.3g} s apart. Between them {name} is interpolated with errors of "
+        f"about {error:.2g}: store more times by t_eval, or take dense_output=True.",
+        ModelWarning,
+        stacklevel=3,
+    )

@@ -28,7 +28,7 @@ from fourbar_codegen.runtime.enumerations import EXPLICIT
 from fourbar_codegen.simulation.batch import BLOCK, n_workers
 from fourbar_codegen.simulation.events import Event, EventLike, event_rows, touched
 from fourbar_codegen.simulation.integrate import REACHED_END, TERMINATED
-from fourbar_codegen.simulation.methods import IN_C, Method
+from fourbar_codegen.simulation.methods import IN_C, MethodLike
 from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 from fourbar_codegen.simulation.simulate import run
 
@@ -45,7 +45,7 @@ def ensemble(
     t_span: Sequence[float],
     x0: ArrayLike | Mapping[Any, ArrayLike] | None = None,
     *,
-    method: str | Method = "DOP853",
+    method: MethodLike = "DOP853",
     parameters: ArrayLike | Mapping[Any, ArrayLike] | None = None,
     inputs: Mapping[Any, InputSource | Floats] | None = None,
     t_eval: ArrayLike | None = None,

@@ -11,11 +11,25 @@ from numpy.typing import ArrayLike
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import is_integer, longest_step, one_of, positive, tolerance
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, STIFF
+from fourbar_codegen.runtime.evaluator import numbers
 
 __all__ = [
-    "ALI3P", "CVODE", "DOP853", "FIXED_STEP", "IDA", "IN_C", "NAMES", "RK45", "SOLVERS", "Method", "Radau", "Tsit5",
-    "name_alone", "name_and_options",
-]  # fmt: skip
+    "ALI3P",
+    "CVODE",
+    "DOP853",
+    "FIXED_STEP",
+    "IDA",
+    "IN_C",
+    "NAMES",
+    "RK45",
+    "SOLVERS",
+    "Method",
+    "MethodLike",
+    "Radau",
+    "Tsit5",
+    "name_alone",
+    "name_and_options",
+]
 
 FIXED_STEP = "ALI3P"
 """The method that passes singular positions, with a fixed step size; see ``steppers/ali3p.h``."""
@@ -77,7 +91,12 @@ class _WithStepControl(Method):
         if self.rtol is not None:
             tolerance(self.rtol, "rtol")
         if self.atol is not None:
-            each = tolerance(self.atol, "atol", np.size(self.atol))
+            given = numbers(self.atol, "atol")
+            if given.ndim > 1 or not ((given > 0.0) & (given < np.inf)).all():
+                raise ModelError(
+                    f"atol must be a positive number, or an array of positive numbers, not {shown(self.atol)}."
+                )
+            each = tolerance(self.atol, "atol", given.size)
             object.__setattr__(self, "atol", each if isinstance(each, float) else tuple(each.tolist()))
         if self.max_step is not None:
             longest_step(self.max_step)
@@ -247,6 +266,9 @@ class IDA(_WithStepControl):
             one_of(self.formulation, FORMULATIONS, "formulation")
 
 
+MethodLike = str | Method | type[Method]
+"""A method by its name, with its options, or with its defaults."""
+
 KNOWN = (DOP853, RK45, Tsit5, Radau, ALI3P, CVODE, IDA)
 
 
@@ -279,6 +301,9 @@ def name_and_options(method: object, given: dict[str, Any], allowed: tuple[str, 
     if isinstance(method, type) and issubclass(method, KNOWN):
         method = method()
     if not isinstance(method, KNOWN):
+        if getattr(method, "__module__", "").startswith("fourbar_codegen.solvers"):
+            name = getattr(method, "__name__", "")
+            raise ModelError(f"fb.solvers.{name} is for solve_ivp; a method of runs is {name!r}, or fb.{name}(...).")
         return str(one_of(method, allowed, what)), given
     name = str(one_of(_name(method), allowed, what))
     options = dict(given)

@@ -32,7 +32,7 @@ from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.runtime.enumerations import EXPLICIT
 from fourbar_codegen.simulation.events import Event, events_of
-from fourbar_codegen.simulation.methods import FIXED_STEP, IN_C, NAMES, SOLVERS, Method, name_and_options
+from fourbar_codegen.simulation.methods import FIXED_STEP, IN_C, NAMES, SOLVERS, MethodLike, name_and_options
 
 __all__ = ["RunOptions", "RunStart"]
 
@@ -78,7 +78,7 @@ class RunOptions:
         model: Kernel,
         t_span: Any,
         *,
-        method: str | Method,
+        method: MethodLike,
         allowed: tuple[str, ...] = NAMES,
         tolerances: tuple[float, float] = (1e-6, 1e-9),
         rtol: Any = None,
@@ -115,7 +115,10 @@ class RunOptions:
         stabilization = positive(stabilization, "stabilization")
         longest = math.inf if own["max_step"] is None else longest_step(own["max_step"])
         if method == FIXED_STEP and longest == math.inf:
-            raise ModelError(f"{FIXED_STEP} has a fixed step size: give it, as {FIXED_STEP}(step=...) or as max_step.")
+            raise ModelError(
+                f"{FIXED_STEP} has a fixed step size: give it, as {FIXED_STEP}(step=...) or max_step= "
+                "(fourbar: --max-step)."
+            )
         if not (progress is None or progress is False or callable(progress)):
             raise ModelError(f"progress must be a callable of the time, False or None, not {shown(progress)}.")
         return cls(
@@ -187,6 +190,8 @@ class RunStart:
             inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
         derivatives = {}
         if dx0 is not None:
+            if not (options.sensitivities or options.gradient):
+                raise ModelError("dx0 counts for derivatives of a run: give sensitivities= or gradient=True as well.")
             names = options.sensitivities or differentiable(model, inputs)
             derivatives = _derivatives(model, dx0, x0, names, inputs or {})
         state = None if x0 is None else named_array(x0, model.states, {}, "state")

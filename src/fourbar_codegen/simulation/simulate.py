@@ -15,6 +15,7 @@ from fourbar_codegen.analysis.initial_state import initial_state
 from fourbar_codegen.errors import ModelError, ModelWarning
 from fourbar_codegen.interface.arguments import Values, finite_number, name_of, named_array
 from fourbar_codegen.interface.progress import QUIET_SECONDS, Progress
+from fourbar_codegen.interface.registered import RegisteredAttribute
 from fourbar_codegen.kernel.consistency import check_start, consistent, projects
 from fourbar_codegen.kernel.discontinuities import boundaries, jumping_inputs
 from fourbar_codegen.kernel.inputs import InputSource, bind
@@ -33,7 +34,7 @@ from fourbar_codegen.runtime.enumerations import STIFF
 from fourbar_codegen.runtime.integrator import Stepper
 from fourbar_codegen.simulation.events import EventLike, event_rows, events_of
 from fourbar_codegen.simulation.integrate import integrate
-from fourbar_codegen.simulation.methods import FIXED_STEP, Method, name_alone
+from fourbar_codegen.simulation.methods import FIXED_STEP, MethodLike, name_alone
 from fourbar_codegen.simulation.run_options import RunOptions, RunStart
 
 __all__ = ["Runner", "run", "runner", "simulate", "stepper"]
@@ -49,7 +50,7 @@ def simulate(
     t_span: Sequence[float],
     x0: ArrayLike | None = None,
     *,
-    method: str | Method = "DOP853",
+    method: MethodLike = "DOP853",
     parameters: Values | None = None,
     inputs: Mapping[Any, InputSource] | None = None,
     t_eval: ArrayLike | None = None,
@@ -192,7 +193,7 @@ def simulate(
     return run(model, options, RunStart.of(model, options, x0, parameters, inputs, dx0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Runner:
     """Runs with the same options, which are checked once; made by `CompiledModel.runner`.
 
@@ -201,6 +202,12 @@ class Runner:
 
     kernel: Kernel
     options: RunOptions
+
+    model = RegisteredAttribute()
+
+    def __repr__(self) -> str:
+        begin, end = self.options.t_span
+        return f"<Runner of {self.kernel.name}: {self.options.method}, {begin:g} s to {end:g} s>"
 
     def __call__(
         self,
@@ -218,7 +225,7 @@ def runner(
     model: Kernel,
     t_span: Sequence[float],
     *,
-    method: str | Method = "DOP853",
+    method: MethodLike = "DOP853",
     t_eval: ArrayLike | None = None,
     rtol: float | None = None,
     atol: float | ArrayLike | None = None,
@@ -373,7 +380,7 @@ def stepper(
     inputs: Mapping[Any, InputSource] | None = None,
     events: EventLike | Sequence[EventLike] | None = None,
     constraints: str = "project",
-    method: str | Method = "RK4",
+    method: MethodLike = "RK4",
 ) -> Stepper:
     """A stepper with a fixed step size, for control loops and real time.
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import name_of, positive
+from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.views.frames import equal_times, frames_of
 from fourbar_codegen.views.panels import Panel, panels
@@ -88,18 +89,11 @@ STYLES: dict[str, dict[str, Any]] = {
 }
 
 
-def _imported(name: str, what: str) -> Any:
-    try:
-        return importlib.import_module(name)
-    except ImportError as error:
-        raise ModelError(f"{what} need {name.split('.')[0]}: pip install 'fourbar_codegen[visual]'.") from error
-
-
 def require_figures(kind: str) -> None:
     """Raise a ModelError if something is missing that PNG, GIF or MP4 needs."""
     if kind not in ANIMATED_BY:
-        _imported("matplotlib.figure", "Plots")
-    elif not _imported("matplotlib.animation", "Animations").writers.is_available(ANIMATED_BY[kind]):
+        imported("matplotlib.figure", "Plots", "visual")
+    elif not imported("matplotlib.animation", "Animations", "visual").writers.is_available(ANIMATED_BY[kind]):
         raise ModelError(f"{kind.upper()} needs {ANIMATED_BY[kind]}, which is not installed.")
 
 
@@ -176,7 +170,7 @@ def plot_fit(runs: Sequence[Trajectory], measured: Sequence[Mapping[str, Floats]
 
 def _stacked(titles: Sequence[str], height: float, label: str) -> tuple[Figure, list[Any]]:
     """A figure with axes one below the other, of a height in inches, and the label of their common horizontal axis."""
-    figure: Figure = _imported("matplotlib.figure", "Plots").Figure(
+    figure: Figure = imported("matplotlib.figure", "Plots", "visual").Figure(
         figsize=(7.0, height * len(titles)), layout="constrained"
     )
     cells = list(figure.subplots(len(titles), 1, sharex=True, squeeze=False).flat)
@@ -307,7 +301,7 @@ def _some(n: int) -> Any:
 def _draw_members(axes: Any, ensemble: Ensemble, values: Floats) -> None:
     """Curves of members, coloured by the parameter in which they differ."""
     [(name, of_members)], units = ensemble.varied.items(), ensemble.kernel.units
-    mappable = _imported("matplotlib.cm", "Plots").ScalarMappable(cmap="viridis")
+    mappable = imported("matplotlib.cm", "Plots", "visual").ScalarMappable(cmap="viridis")
     mappable.set_clim(of_members.min(), of_members.max())
     order = np.argsort(of_members)
     for member in order[_some(len(ensemble))]:
@@ -481,7 +475,7 @@ def _label(name: str) -> str:
 
 def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
     """A figure with axes side by side, in rows of four."""
-    figure_class = _imported("matplotlib.figure", "Plots").Figure
+    figure_class = imported("matplotlib.figure", "Plots", "visual").Figure
     columns = min(panels, 4)
     rows = -(-panels // columns)
     side = 5.0 if panels == 1 else 2.8
@@ -554,8 +548,8 @@ def animate(
     >>> run = fb.load("four_bar").simulate((0.0, 1.0))
     >>> animation = run.animate(traces=["P2"])  # doctest: +SKIP
     """
-    animations = _imported("matplotlib.animation", "Animations")
-    figures = _imported("matplotlib.figure", "Animations")
+    animations = imported("matplotlib.animation", "Animations", "visual")
+    figures = imported("matplotlib.figure", "Animations", "visual")
     model = trajectory.kernel
     positive(fps, "fps")
     positive(speed, "speed")
@@ -604,7 +598,7 @@ def animate(
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
     """Write an animation as GIF or MP4; the suffix of the file matches."""
     require_figures(kind)
-    animations, name = _imported("matplotlib.animation", "Animations"), ANIMATED_BY[kind]
+    animations, name = imported("matplotlib.animation", "Animations", "visual"), ANIMATED_BY[kind]
     animation = animate(trajectory, fps=FPS, speed=1.0, traces=None)
     from tqdm import tqdm
 

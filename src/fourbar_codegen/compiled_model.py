@@ -160,6 +160,7 @@ class CompiledModel:
     tree_forcing = _of_kernel(Kernel.tree_forcing)
     position_constraints = _of_kernel(Kernel.position_constraints)
     velocity_constraints = _of_kernel(Kernel.velocity_constraints)
+    constraint_violation = _of_kernel(Kernel.constraint_violation)
     constraint_jacobian = _of_kernel(Kernel.constraint_jacobian)
     multipliers = _of_kernel(Kernel.multipliers)
     output = _of_kernel(Kernel.output)
@@ -350,6 +351,7 @@ EVALUATED = (
     "tree_forcing",
     "position_constraints",
     "velocity_constraints",
+    "constraint_violation",
     "constraint_jacobian",
     "multipliers",
     "output",

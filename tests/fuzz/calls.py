@@ -198,11 +198,12 @@ def calls_of(name: str) -> dict[str, Call]:
         calls.add(function, getattr(model, function), **state, **values)
     # What these are made of, as it comes.
     for function in (
-        "accelerations", "output_derivatives", "dynamics", "velocity", "constraint_violation", "constraint_scale",
+        "accelerations", "output_derivatives", "dynamics", "velocity", "constraint_scale",
         "energy", "drawing", "constraint_partials",
     ):  # fmt: skip
         calls.add(function, getattr(kernel, function), **state, **values, may_be_nan=True)
-    calls.add("momentum", model.momentum, **state, **values, may_be_nan=True)
+    for function in ("momentum", "constraint_violation"):
+        calls.add(function, getattr(model, function), **state, **values, may_be_nan=True)
     calls.add("jvp", model.jvp, **state, dx=np.ones(model.n_x), dp=np.ones(model.n_p), dr=np.ones(model.n_r), **values)
     calls.add("vjp", model.vjp, **state, weights=np.ones(model.n_x), **values)
     calls.add("rhs into", model.rhs, **state, **values, out=np.empty(model.n_x))

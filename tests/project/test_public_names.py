@@ -18,7 +18,8 @@ from fourbar_codegen.modeling.mechanism import Mechanism
 
 NAMES = {
     "CompiledModel": """
-    auxiliary_states constraint_jacobian coordinates defaults descriptions energy_without ensemble equilibrium
+    auxiliary_states constraint_jacobian constraint_violation coordinates defaults descriptions energy_without ensemble
+    equilibrium
     forced_points forcing initial_state initial_state_derivatives initial_states input_jacobian
     input_jacobian_batch inputs instructions inverse_dynamics is_portable is_verified jacobian jacobian_batch
     jvp kernel kinematics kinetic_energy lacks_batch_functions lacks_derivatives lacks_products layout linearize

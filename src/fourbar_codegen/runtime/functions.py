@@ -63,7 +63,25 @@ class Functions(Evaluator):
     ) -> tuple[Floats, Floats]:
         """Constraint violations: of positions, in the rows of J and then invariants, and of velocities.
 
-        Their shapes are (n_c + n_i,) and (n_c,).
+        Parameters
+        ----------
+        t, x, p, r
+            As for `rhs`; the inputs count where they prescribe a motion.
+
+        Returns
+        -------
+        positions : ndarray, shape (n_c + n_i,)
+            Phi, 0 in the rows of nonholonomic constraints, and the n_i invariants, such as norms of quaternions.
+        velocities : ndarray, shape (n_c,)
+            J u + b.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> positions, velocities = four_bar.constraint_violation(0.0, four_bar.initial_state())
+        >>> bool(max(abs(positions).max(), abs(velocities).max()) < 1e-12)
+        True
         """
         positions, velocities = self.evaluate(CONSTRAINT_VIOLATION, t, x, p, r)
         return positions, velocities

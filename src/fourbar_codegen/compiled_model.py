@@ -335,34 +335,7 @@ class CompiledModel:
         )
 
 
-EVALUATED = (
-    "rhs",
-    "jacobian",
-    "parameter_jacobian",
-    "input_jacobian",
-    "output_jacobian",
-    "output_parameter_jacobian",
-    "output_input_jacobian",
-    "jvp",
-    "vjp",
-    "mass_matrix",
-    "forcing",
-    "tree_mass_matrix",
-    "tree_forcing",
-    "position_constraints",
-    "velocity_constraints",
-    "constraint_violation",
-    "constraint_jacobian",
-    "multipliers",
-    "output",
-    "positions",
-    "kinetic_energy",
-    "potential_energy",
-    "momentum",
-    "require_derivatives",
-    "require_products",
-    "require_batch_functions",
-)
+EVALUATED = tuple(name for name, method in vars(CompiledModel).items() if hasattr(method, "__wrapped__"))
 """Methods that are the kernel's own."""
 
 _LOCK = Lock()

@@ -37,6 +37,7 @@ __all__ = [
     "is_held",
     "ode",
     "own_source",
+    "own_sources",
     "source_changes",
     "wrt_values",
 ]
@@ -163,6 +164,11 @@ def input_sources(model: Kernel, inputs: Mapping[Any, InputSource] | None) -> li
             of_orders = [0.0 if order else source for order in orders]
         sources[first : first + len(orders)] = of_orders
     return sources
+
+
+def own_sources(model: Kernel, inputs: Mapping[Any, Any] | None) -> dict[Any, Any]:
+    """The inputs' sources under the keys given, each as `own_source` returns it."""
+    return {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
 
 
 def own_source(name: str, source: Any) -> float | InterpolationTable | Callable[[float, Floats], float]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.errors import ModelError
-from fourbar_codegen.interface.arguments import Values, name_of, named_columns, numbers
-from fourbar_codegen.kernel.inputs import InputSource, bind, by_name, held_inputs, own_source
+from fourbar_codegen.interface.arguments import Values, named_columns, numbers
+from fourbar_codegen.kernel.inputs import InputSource, bind, held_inputs, own_sources
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.results.trajectory import GIVEN, Trajectory
 
@@ -81,7 +81,7 @@ def trajectory(
         row, column = np.argwhere(~np.isfinite(states))[0].tolist()
         raise ModelError(f"The states x must be finite; {model.states[row]} at t[{column}] is not.")
     p = model.parameter_vector(parameters)
-    sources = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
+    sources = own_sources(model, inputs)
     settings: dict[str, Any] = {"method": GIVEN, "t_span": (float(times[0]), float(times[-1])), "constraints": "none"}
     if held := held_inputs(sources):
         settings["held"] = held

@@ -27,7 +27,7 @@ from fourbar_codegen.interface.arguments import (
     tolerance,
 )
 from fourbar_codegen.kernel.consistency import projects
-from fourbar_codegen.kernel.inputs import by_name, held_inputs, own_source
+from fourbar_codegen.kernel.inputs import held_inputs, own_sources
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.kernel.sensitivity import differentiable
 from fourbar_codegen.runtime.enumerations import EXPLICIT
@@ -187,7 +187,7 @@ class RunStart:
             If an argument has a wrong shape or name, or is not finite.
         """
         if inputs is not None:
-            inputs = {key: own_source(name_of(key), source) for key, source in by_name(model, inputs).items()}
+            inputs = own_sources(model, inputs)
         derivatives = {}
         if dx0 is not None:
             if not (options.sensitivities or options.gradient):

@@ -14,7 +14,7 @@
 #include "fourbar_kernel.h"
 
 extern const fb_kernel four_bar_kernel;
-extern const fb_part four_bar_derivatives, four_bar_products;
+extern const fb_part four_bar_drawing, four_bar_derivatives, four_bar_products;
 extern const fb_kernel four_bar_kernel_avx2, four_bar_kernel_avx512;
 extern const fb_part four_bar_products_avx2, four_bar_products_avx512;
 extern const fb_batch_functions four_bar_batch_functions, four_bar_batch_functions_avx2, four_bar_batch_functions_avx512;

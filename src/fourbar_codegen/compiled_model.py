@@ -168,6 +168,7 @@ class CompiledModel:
     kinetic_energy = _of_kernel(Kernel.kinetic_energy)
     potential_energy = _of_kernel(Kernel.potential_energy)
     momentum = _of_kernel(Kernel.momentum)
+    require_drawing = _of_kernel(Kernel.require_drawing)
     require_derivatives = _of_kernel(Kernel.require_derivatives)
     require_products = _of_kernel(Kernel.require_products)
     require_batch_functions = _of_kernel(Kernel.require_batch_functions)
@@ -300,8 +301,13 @@ class CompiledModel:
         return self.kernel.lacks_batch_functions
 
     @property
+    def lacks_drawing(self) -> bool:
+        """Whether positions and orientations for pictures are not built or loaded yet."""
+        return self.kernel.lacks_drawing
+
+    @property
     def lacks_derivatives(self) -> bool:
-        """Whether derivatives and data for drawings are not built or loaded yet."""
+        """Whether derivatives are not built or loaded yet."""
         return self.kernel.lacks_derivatives
 
     @property

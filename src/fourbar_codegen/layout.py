@@ -54,7 +54,7 @@ class ShapeKind(StrEnum):
     LINE = "line"
 
 
-FORMAT = 22
+FORMAT = 23
 """Of the manifest's JSON text."""
 
 NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
@@ -243,6 +243,8 @@ class Drawing:
         Whether the point that positions are relative to stays at rest; a wheel's contact point does not.
     forced_points : tuple of int
         Those on which forces of inputs act.
+    bodies : tuple of str
+        Those with a frame whose orientation is known.
     gravity : tuple of float or None
         Its direction.
     """
@@ -252,6 +254,7 @@ class Drawing:
     not_drawn: tuple[str, ...]
     is_at_rest: bool
     forced_points: tuple[int, ...]
+    bodies: tuple[str, ...]
     gravity: tuple[float, ...] | None
 
 
@@ -496,6 +499,7 @@ class Layout:
             "is_drawn_at_rest": drawing.is_at_rest,
             "gravity": _listed(drawing.gravity),
             "forced_points": [*drawing.forced_points],
+            "bodies": [*drawing.bodies],
             "initial": {**self.initial},
             "invariants": [*constraints.invariants],
             "position_rows": [*constraints.position_rows],
@@ -573,6 +577,7 @@ class Layout:
                 not_drawn=_each(str, data["not_drawn"]),
                 is_at_rest=_one(bool, data["is_drawn_at_rest"]),
                 forced_points=_each(int, data["forced_points"]),
+                bodies=_each(str, data["bodies"]),
                 gravity=None if gravity is None else _numbers(gravity),
             ),
             potential_energy=PotentialEnergy(

@@ -1,9 +1,9 @@
 """Sources -> shared libraries for this machine, for `compile_model`: only C, without Python.
 
-A model consists of parts. A simulation needs the kernel; derivatives, their products with vectors and the functions for
-batches of states are compiled at their first use. The kernel's library contains the model's structure: names,
-order, formulas. Its numbers are in a file beside it (defaults, units, initial values, also the fingerprint and
-operation counts), so models that differ only in these share a library.
+A model consists of parts. A simulation needs the kernel; positions and orientations, derivatives, their products with
+vectors and the functions for batches of states are compiled at their first use. The kernel's library contains the
+model's structure: names, order, formulas. Its numbers are in a file beside it (defaults, units, initial values, also
+the fingerprint and operation counts), so models that differ only in these share a library.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ __all__ = ["MAX_ATTEMPTS", "PARTS", "build_part", "install", "removed"]
 
 PARTS = {
     "kernel": (("_kernel.c", "_kernel.h"), KERNEL_FLAGS),
+    "drawing": (("_drawing.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "derivatives": (("_derivatives.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "products": (("_products.c", "_kernel.h"), DERIVATIVES_FLAGS),
     "batch_functions": (("_batch.c", "_kernel.c", "_kernel.h"), KERNEL_FLAGS),
@@ -61,7 +62,7 @@ def build_part(
     ----------
     name : str
         The model's.
-    part : {"kernel", "derivatives", "products", "batch_functions"}
+    part : {"kernel", "drawing", "derivatives", "products", "batch_functions"}
     sources : mapping of str to str
         Text by file name.
     structure : mapping, optional
@@ -73,7 +74,7 @@ def build_part(
     -------
     Path
         A shared library with the part's table: ``{name}_kernel`` (and ``fourbar_library``, if a structure is given),
-        ``{name}_derivatives``, ``{name}_products``, ``{name}_batch_functions``.
+        ``{name}_drawing``, ``{name}_derivatives``, ``{name}_products``, ``{name}_batch_functions``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Parts of a model that `compile_model` leaves for their first use: derivatives, products, functions for batches."""
+"""Parts of a model that `compile_model` leaves for their first use: what pictures, derivatives and batches need."""
 
 from __future__ import annotations
 
@@ -16,12 +16,18 @@ from fourbar_codegen.building.loading import noexec
 from fourbar_codegen.building.stored_model import StoredModel, shipped_sources
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.interface.progress import Progress
-from fourbar_codegen.kernel.comparison import compare_batch_functions, compare_derivatives, compare_products
+from fourbar_codegen.kernel.comparison import (
+    compare_batch_functions,
+    compare_derivatives,
+    compare_drawing,
+    compare_products,
+)
 from fourbar_codegen.kernel.kernel import Kernel
 
 __all__ = ["build", "sources_of"]
 
 COMPARED = {
+    "drawing": compare_drawing,
     "derivatives": compare_derivatives,
     "products": compare_products,
     "batch_functions": compare_batch_functions,
@@ -29,7 +35,8 @@ COMPARED = {
 """What compares a part when it has been compiled."""
 
 NEEDED_BY = {
-    "derivatives": "Derivatives and pictures",
+    "drawing": "Pictures",
+    "derivatives": "Derivatives",
     "products": "Sensitivities and gradients",
     "batch_functions": "Batches and ensembles",
 }
@@ -86,7 +93,7 @@ def _generated(name: str, part: str, later: bytes) -> dict[str, str]:
     ----------
     name : str
         The model's.
-    part : {"derivatives", "products"}
+    part : {"drawing", "derivatives", "products"}
     later : bytes
         A pickled function, which takes the part to the text. It comes with the model's library, which can run any code.
 

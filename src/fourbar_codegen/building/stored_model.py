@@ -30,7 +30,7 @@ __all__ = [
 CHECKSUM = "checksum"
 """Name of the file of checksums."""
 
-SUFFIXES = ("_kernel.c", "_kernel.h", "_derivatives.c", "_products.c", "_batch.c")
+SUFFIXES = ("_kernel.c", "_kernel.h", "_drawing.c", "_derivatives.c", "_products.c", "_batch.c")
 """Suffixes of the sources of all parts."""
 
 LATER = "_later.pickle"

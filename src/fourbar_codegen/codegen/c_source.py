@@ -30,6 +30,7 @@ from fourbar_codegen.runtime.enumerations import DIRECTIONS, VECTOR, Needs, Role
 __all__ = [
     "batch_text",
     "derivatives_text",
+    "drawing_text",
     "header_text",
     "kernel_sources",
     "kernel_text",
@@ -287,7 +288,7 @@ def derivatives_text(
     before: str = "",
     after: str = "",
 ) -> str:
-    """The C source of a model's derivatives and data for drawings.
+    """The C source of a model's derivatives, and of what pictures need.
 
     Parameters
     ----------
@@ -306,10 +307,19 @@ def derivatives_text(
     ModelError
         If an expression has no counterpart in C99.
     """
-    about = "Derivatives of the equations of motion of the model {name}, and data for drawings"
+    about = "Derivatives of the equations of motion of the model {name}; positions and orientations"
     return _table_text(
         f"{name}_derivatives", about, name, derivatives, names, folder=folder, before=before, after=after
     )
+
+
+def drawing_text(name: str, drawing: Sequence[ScheduledFunction], names: Mapping[str, Sequence[str]]) -> str:
+    """The C source of what pictures of a model need, for a library of its own.
+
+    Parameters, result and errors are as for `derivatives_text`.
+    """
+    about = "Positions and orientations of the model {name}, for pictures"
+    return _table_text(f"{name}_drawing", about, name, drawing, names)
 
 
 def products_text(name: str, products: Sequence[ScheduledFunction], names: Mapping[str, Sequence[str]]) -> str:
@@ -517,7 +527,7 @@ def header_text(scheduled: Schedule, names: Mapping[str, Sequence[str]]) -> str:
 #include "fourbar_kernel.h"
 
 extern const fb_kernel {program.name}_kernel;
-extern const fb_part {program.name}_derivatives, {program.name}_products;{more}
+extern const fb_part {program.name}_drawing, {program.name}_derivatives, {program.name}_products;{more}
 
 #endif
 """

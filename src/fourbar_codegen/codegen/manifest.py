@@ -141,6 +141,7 @@ def _drawing(model: Model, equations: Equations) -> Drawing:
         not_drawn=tuple(picture.not_drawn),
         is_at_rest=picture.is_at_rest,
         forced_points=equations.drawing.forced,
+        bodies=equations.bodies.names,
         gravity=gravity(mechanism.loads, mechanism.bodies, _values(model), mechanism.time),
     )
 

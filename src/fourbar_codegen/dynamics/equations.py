@@ -8,12 +8,13 @@ from itertools import chain
 
 from fourbar_codegen.dynamics.drawn_positions import DrawnPositions
 from fourbar_codegen.dynamics.recursion import Recursion
-from fourbar_codegen.expressions.tape import Result, Scalar, Tape
+from fourbar_codegen.expressions.tape import Leaf, Node, Result, Scalar, Tape
 from fourbar_codegen.layout import Formulas
 from fourbar_codegen.runtime.enumerations import Role
 
 __all__ = [
     "Drawing",
+    "DrawnBodies",
     "DrivingForces",
     "Dynamics",
     "Energy",
@@ -24,6 +25,7 @@ __all__ = [
     "Variables",
     "VelocityConstraints",
     "matrix",
+    "of_known",
     "results_of",
     "vector",
 ]
@@ -246,6 +248,28 @@ class Drawing:
 
 
 @dataclass(frozen=True)
+class DrawnBodies:
+    """The bodies in pictures: those with a frame whose orientation is known.
+
+    Attributes
+    ----------
+    names : tuple of str
+    orientations : Result
+        For each of them the rotation matrix that takes components along its axes to the inertial frame, row by row,
+        (n_bodies, 9).
+    masses : Result
+        (n_bodies,).
+    inertias : Result
+        About their mass centres, along their axes, row by row, (n_bodies, 9).
+    """
+
+    names: tuple[str, ...]
+    orientations: Result
+    masses: Result
+    inertias: Result
+
+
+@dataclass(frozen=True)
 class Jump:
     """A jump of the equations of motion, or of the expression of an input, where a condition changes its sign.
 
@@ -291,6 +315,7 @@ class Equations:
     quantities : dict of Role to tuple of Result
         Other functions of a state, in the order of `QUANTITIES`.
     drawing : Drawing
+    bodies : DrawnBodies
     warnings : tuple of str
         A sentence for each inconsistency of the kinematics.
     jumps : tuple of Jump
@@ -310,6 +335,7 @@ class Equations:
     energy: Energy
     quantities: Mapping[Role, tuple[Result, ...]]
     drawing: Drawing
+    bodies: DrawnBodies
     warnings: tuple[str, ...]
     jumps: tuple[Jump, ...]
     conditions: Result
@@ -318,7 +344,7 @@ class Equations:
     def results(self) -> tuple[Result, ...]:
         """All results."""
         forces, constraints = self.driving_forces, (self.positions, self.velocities)
-        parts = (self, self.inputs, self.dynamics, forces, *constraints, self.energy, self.drawing)
+        parts = (self, self.inputs, self.dynamics, forces, *constraints, self.energy, self.drawing, self.bodies)
         return *results_of(*parts), *chain.from_iterable(self.quantities.values())
 
 
@@ -336,3 +362,15 @@ def vector(name: str, entries: Iterable[Scalar]) -> Result:
 def matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
     """A result with given rows; the number of columns counts where there are none."""
     return Result(name, (len(rows), columns), tuple(entry for row in rows for entry in row))
+
+
+def of_known(variables: Variables, entries: Sequence[Scalar]) -> list[Scalar]:
+    """The entries; NaN for those that contain other parameters or inputs than the variables."""
+    tape, known = variables.time.tape, {leaf.node for leaf in (*variables.parameters, *variables.inputs)}
+    left_out = [Scalar(tape, 1, n) for n in tape.reach(entries) if n not in known and _is_argument(tape.nodes[n])]
+    return [tape.number(float("nan")) if tape.depends([entry], left_out) else entry for entry in entries]
+
+
+def _is_argument(node: Node) -> bool:
+    """Whether a node is a parameter or an input."""
+    return isinstance(node, Leaf) and node.kind in ("p", "r")

@@ -24,6 +24,7 @@ import sympy as sm
 from fourbar_codegen.dynamics.constraints import Constraints, form_constraints, position_jacobian
 from fourbar_codegen.dynamics.contradictions import find_contradictions
 from fourbar_codegen.dynamics.corrections import Corrections, form_corrections
+from fourbar_codegen.dynamics.drawn_bodies import form_bodies
 from fourbar_codegen.dynamics.drawn_positions import applied_forces, find_drawn_positions
 from fourbar_codegen.dynamics.equations import (
     Drawing,
@@ -139,6 +140,7 @@ def form_equations(model: Model) -> Equations:
         energy=energy,
         quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture, variables)},
         drawing=drawing,
+        bodies=form_bodies(kane.kane, variables),
         warnings=warnings,
         jumps=(),
         conditions=vector("conditions", ()),

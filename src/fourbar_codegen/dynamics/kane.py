@@ -42,7 +42,7 @@ bodies, the operations of both are counted."""
 
 
 @dataclass(frozen=True)
-class _Inertia:
+class Inertia:
     """A body's central inertia, and its angular velocity and momentum along the same axes.
 
     Attributes
@@ -406,14 +406,18 @@ class Kane:
         for body, mass, inertia in zip(self.mechanism.bodies, self._masses, self._inertias, strict=True):
             yield body, mass, () if inertia is None else ((inertia.frame, inertia.momentum),)
 
-    def _inertia(self, body: Body) -> _Inertia | None:
+    def mass_properties(self) -> Iterator[tuple[Body, Scalar, Inertia | None]]:
+        """The bodies with their masses and central inertias."""
+        yield from zip(self.mechanism.bodies, self._masses, self._inertias, strict=True)
+
+    def _inertia(self, body: Body) -> Inertia | None:
         if body.inertia is None:
             return None
         assert body.frame is not None
         assert body.inertia_frame is not None
         matrix = self.kinematics.matrix(body.inertia)
         angular_velocity = self.kinematics.angular_velocity_in(body.frame, body.inertia_frame)
-        return _Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
+        return Inertia(body.inertia_frame, matrix, angular_velocity, multiply(matrix, angular_velocity))
 
 
 def loads_power(kinematics: Kinematics, loads: Sequence[Load], part: Jvp | None = None) -> Scalar:

@@ -237,6 +237,11 @@ class Kinematics:
             return relative
         return add(relative, negative(self.angular_velocity(stored_frame.parent)))
 
+    def is_oriented(self, frame: int) -> bool:
+        """Whether the orientation of a frame in the inertial one is known."""
+        stored_frame = self.mechanism.frames[frame]
+        return frame == INERTIAL or (stored_frame.dcm is not None and self.is_oriented(stored_frame.parent))
+
     def not_orthonormal(self) -> list[Scalar]:
         """Scalars that are zero where direction cosines are orthonormal, but not identically, as with quaternions."""
         entries: list[Scalar] = []

@@ -7,10 +7,10 @@ Goldstein, *Classical Mechanics*, 2nd ed. 1980, section 1.2 (about the mass cent
 from __future__ import annotations
 
 from fourbar_codegen.dynamics.drawn_positions import DrawnPositions
-from fourbar_codegen.dynamics.equations import Variables, vector
+from fourbar_codegen.dynamics.equations import Variables, of_known, vector
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, add, cross, negative, scale
-from fourbar_codegen.expressions.tape import Leaf, Node, Result, Scalar
+from fourbar_codegen.expressions.tape import Result
 
 __all__ = ["form_momenta"]
 
@@ -56,17 +56,8 @@ def form_momenta(kane: Kane, picture: DrawnPositions, variables: Variables) -> t
         about_centre = add(angular, negative(cross(scale(tape.one / total, moments), linear)))
     is_fixed = picture.is_at_rest and kinematics.mechanism.is_origin_fixed is not False
     about_origin = angular if is_known and is_fixed else nan
-    known = {leaf.node for leaf in (*variables.parameters, *variables.inputs)}
     vectors = {"momentum": linear, "angular_momentum": about_origin, "spin": about_centre}
-    reached = tape.reach(entry for entries in vectors.values() for entry in entries)
-    left_out = [Scalar(tape, 1, n) for n in reached if n not in known and _is_argument(tape.nodes[n])]
     p, about_fixed_point, about_mass_centre = (
-        vector(name, [nan[0] if tape.depends([entry], left_out) else entry for entry in entries])
-        for name, entries in vectors.items()
+        vector(name, of_known(variables, entries)) for name, entries in vectors.items()
     )
     return p, about_fixed_point, about_mass_centre
-
-
-def _is_argument(node: Node) -> bool:
-    """Whether a node is a parameter or an input."""
-    return isinstance(node, Leaf) and node.kind in ("p", "r")

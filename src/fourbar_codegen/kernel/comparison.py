@@ -15,10 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import BuildError, SimulationError
+from fourbar_codegen.layout import ShapeKind
 from fourbar_codegen.runtime.batch import Batch, width
 from fourbar_codegen.runtime.functions import Functions
 
-__all__ = ["compare_batch_functions", "compare_derivatives", "compare_products"]
+__all__ = ["compare_batch_functions", "compare_derivatives", "compare_drawing", "compare_products"]
 
 Floats = NDArray[np.float64]
 Function = Callable[..., Floats]
@@ -29,6 +30,9 @@ MAX_ATTEMPTS = 8
 STEP = 2e-4
 """Step h of central differences, relative to large variables. After extrapolation, the truncation error is h^4 / 480
 times the fifth derivative, and the rounding error about 1e-12."""
+
+RIGID_RTOL = 1e-9
+"""Tolerance for lengths of links and for rotations, which follow from some hundred operations."""
 
 NARROW_STEP = 1e-8
 """Step of one-sided differences, for functions with stairs, such as readings of an encoder: their derivative is that
@@ -76,6 +80,44 @@ def compare_derivatives(model: Functions) -> None:
     *Philosophical Transactions of the Royal Society A* 210 (1911).
     """
     _compare(model, "derivatives of x'", _compare_derivatives_at)
+
+
+def compare_drawing(model: Functions) -> None:
+    """Compare positions and orientations at random states: links keep their lengths, and rotations are orthonormal.
+
+    States with invariants that do not hold, such as quaternions of other norms than one, are skipped.
+
+    Parameters
+    ----------
+    model : Functions
+        With positions and orientations attached.
+
+    Raises
+    ------
+    BuildError
+        If a link has other lengths at another state, or a matrix is no rotation.
+    """
+    generator, links = random.Random(0), [[*s.points] for s in model.layout.drawing.shapes if s.kind == ShapeKind.LINK]
+    before: list[Floats] = []
+    _, _, p, _ = _arguments(model, generator)
+    for attempt in range(MAX_ATTEMPTS):
+        t, x, _, r = _arguments(model, generator, at_beginning=attempt == 0)
+        with np.errstate(all="ignore"):
+            if not (np.abs(model.constraint_violation(t, x, p, r)[0][model.n_c :]) <= RIGID_RTOL).all():
+                continue
+            positions, _ = model.drawing(t, x, p, r)
+            rotations = model.orientations_along([t], x[:, np.newaxis], r[:, np.newaxis], p)[..., 0]
+            lengths = [np.linalg.norm(positions[link][:, np.newaxis] - positions[link], axis=2) for link in links]
+            error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
+            size = 1.0 + np.abs(positions[np.isfinite(positions)]).max(initial=0.0)
+        changes = [np.abs(a - b).max() for a, b in zip(before, lengths, strict=False)]
+        if error > RIGID_RTOL or any(change > RIGID_RTOL * size for change in changes):
+            raise BuildError(
+                f"The compiled positions and orientations of the model {model.layout.name} are\n{positions}\n"
+                f"{rotations}\nat a random state, where a link is not as long as at another one, or a matrix is no "
+                f"rotation.\n{DEFECT}"
+            )
+        before = lengths
 
 
 def compare_products(model: Functions) -> None:

@@ -118,11 +118,26 @@ class Kernel(Functions):
         if self.lacks_batch_functions:
             self.attach_batch_functions(self._built("batch_functions"))
 
-    def require_derivatives(self) -> None:
-        """Build and load derivatives and data for drawings, if the model was built without them.
+    def require_drawing(self) -> None:
+        """Build and load positions and orientations for pictures, if the model was built without them.
 
-        As `require_batch_functions`: `compile_model` does not build them; the first Jacobian or picture calls this
-        method.
+        As `require_batch_functions`: `compile_model` does not build them; the first picture calls this method.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> four_bar.require_drawing()
+        >>> four_bar.lacks_drawing
+        False
+        """
+        if self.lacks_drawing:
+            self.attach(self._built("drawing"))
+
+    def require_derivatives(self) -> None:
+        """Build and load derivatives, if the model was built without them.
+
+        As `require_batch_functions`: `compile_model` does not build them; the first Jacobian calls this method.
 
         Examples
         --------

@@ -31,7 +31,7 @@ from fourbar_codegen.lowering.program import (
 from fourbar_codegen.lowering.solution_form import choose_form
 from fourbar_codegen.runtime.enumerations import Needs, Role
 
-__all__ = ["lower", "lower_derivatives", "lower_products"]
+__all__ = ["lower", "lower_derivatives", "lower_drawing", "lower_products"]
 
 VECTORIZED = {
     Role.DEFAULT_INPUTS, Role.DYNAMICS, Role.CONSTRAINT_VIOLATION, Role.CONSTRAINT_SCALE, Role.INVARIANT_CORRECTION,
@@ -168,8 +168,8 @@ def _sizes(e: Equations, rank: int, n_constants: int) -> Sizes:
     )
 
 
-def lower_derivatives(program: Program, equations: Equations, derivatives: Derivatives) -> tuple[Function, ...]:
-    """Lower derivatives and data for drawings, which a simulation by an explicit method does not need.
+def lower_drawing(program: Program, equations: Equations) -> tuple[Function, ...]:
+    """Lower what pictures need.
 
     They use the constants of the program's functions; they evaluate other subexpressions of parameters themselves.
 
@@ -178,11 +178,35 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
     program : Program
         As `lower` has made it of the equations.
     equations : Equations
-    derivatives : Derivatives
 
     Returns
     -------
     tuple of Function
+
+    Examples
+    --------
+    >>> from fourbar_codegen.dynamics.formation import form_equations
+    >>> from fourbar_codegen.models import four_bar
+    >>> equations = form_equations(four_bar())
+    >>> [f.name for f in lower_drawing(lower("four_bar", equations), equations)]
+    ['drawing', 'orientations', 'mass_properties']
+    """
+    drafts = _Drafts(equations, {ONE, *program.constants.nodes}.__contains__)
+    _draft_drawing(drafts)
+    return drafts.functions(program.constants)
+
+
+def _draft_drawing(drafts: _Drafts) -> None:
+    e = drafts.equations
+    drafts.add(Role.DRAWING, e.drawing.points, e.drawing.forces)
+    drafts.add(Role.ORIENTATIONS, e.bodies.orientations)
+    drafts.add(Role.MASS_PROPERTIES, e.bodies.masses, e.bodies.inertias)
+
+
+def lower_derivatives(program: Program, equations: Equations, derivatives: Derivatives) -> tuple[Function, ...]:
+    """Lower derivatives, which a simulation by an explicit method does not need, and what pictures need.
+
+    Parameters and result are as for `lower_drawing`, with the derivatives of the equations.
 
     Examples
     --------
@@ -209,7 +233,7 @@ def lower_derivatives(program: Program, equations: Equations, derivatives: Deriv
         )
         for role, results in zip(roles, pairs, strict=True):
             drafts.add(role, *(result for result in results if result is not None))
-    drafts.add(Role.DRAWING, e.drawing.points, e.drawing.forces)
+    _draft_drawing(drafts)
     drafts.add(Role.MOTION, d.coordinate_accelerations, d.point_velocities, d.point_accelerations)
     drafts.add(Role.DEFAULT_INPUT_PARTIALS, d.default_input_jacobian)
     drafts.add(Role.CONSTRAINT_PARTIALS, d.velocity_jacobian, d.position_input_jacobian, d.velocity_input_jacobian)

@@ -22,8 +22,8 @@ __all__ = ["compile_model", "key_of"]
 def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     """Compile a model, or load it from the cache if the same model was compiled before.
 
-    The functions that a simulation by an explicit method needs are compiled at once. Derivatives, drawing data, and the
-    functions for batches of states are formed and compiled at their first use. The cache is in the user's
+    The functions that a simulation by an explicit method needs are compiled at once. What pictures need, derivatives,
+    and the functions for batches of states are formed and compiled at their first use. The cache is in the user's
     cache folder, or in the folder given by the environment variable ``FOURBAR_CODEGEN_CACHE``.
 
     Parameters

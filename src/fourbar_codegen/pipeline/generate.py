@@ -111,6 +111,14 @@ def generate_derivatives(equations: Equations, program: Program) -> tuple[Deriva
     return derivatives, [schedule_function(function, inline_angles=False) for function in functions]
 
 
+def _generate_drawing(equations: Equations, program: Program) -> list[ScheduledFunction]:
+    """What pictures need."""
+    from fourbar_codegen.lowering.lower import lower_drawing
+    from fourbar_codegen.lowering.schedule import schedule_function
+
+    return [schedule_function(function, inline_angles=False) for function in lower_drawing(program, equations)]
+
+
 def _generate_products(equations: Equations, program: Program) -> list[ScheduledFunction]:
     """Products of derivatives with vectors."""
     from fourbar_codegen.dynamics.products import form_products
@@ -123,8 +131,10 @@ def _generate_products(equations: Equations, program: Program) -> list[Scheduled
 
 def _source_of(equations: Equations, program: Program, names: dict[str, tuple[str, ...]], part: str) -> str:
     """The C source of a part that is compiled at its first use."""
-    from fourbar_codegen.codegen.c_source import derivatives_text, products_text
+    from fourbar_codegen.codegen.c_source import derivatives_text, drawing_text, products_text
 
+    if part == "drawing":
+        return drawing_text(program.name, _generate_drawing(equations, program), names)
     if part == "derivatives":
         return derivatives_text(program.name, generate_derivatives(equations, program)[1], names)
     return products_text(program.name, _generate_products(equations, program), names)

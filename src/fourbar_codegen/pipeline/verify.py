@@ -145,7 +145,7 @@ def _compiled_results(
     further = {Role.COORDINATE_CHANGE: (accelerations,), Role.UNKNOWN_FORCES: (multipliers[compiled.n_c :],)}
     tangents = {} if d is None else dict(zip(PARTIALS, d.tangents, strict=False))
     for role in Role:
-        if role.part == "products" or (role.part == "derivatives" and d is None):
+        if role.part == "products" or (role.part in ("drawing", "derivatives") and d is None):
             continue
         takes_state, names = compiled.described(role)
         state = x if takes_state else x[: compiled.n_q]

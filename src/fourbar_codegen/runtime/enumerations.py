@@ -237,8 +237,11 @@ class Role(_Enum):
         Needs.STATE | Needs.INPUTS,
         "F(n), dF/dn of unknown forces n; Q(n), dQ/dn, M_a, J_a^T of Q - M_a u' + J_a^T lambda = 0.",
     )
-    # In the part `derivatives`.
+    # In the part `drawing`.
     DRAWING = Needs.STATE, "Positions of drawn points, and the inputs' forces on them."
+    ORIENTATIONS = Needs.STATE, "Rotation matrices of the bodies, which take components to the inertial frame."
+    MASS_PROPERTIES = Needs.STATE, "Masses and central inertias of the bodies."
+    # In the part `derivatives`.
     MOTION = Needs.STATE | Needs.ACCELERATIONS, "q''; velocities and accelerations of drawn points."
     STATE_PARTIALS = _HELD, "d/dx of q' and of the residual, with u' and lambda held."
     PARAMETER_PARTIALS = _HELD, "d/dp of q' and of the residual, with u' and lambda held."
@@ -264,9 +267,8 @@ class Role(_Enum):
     @property
     def part(self) -> str:
         """Where the function is: in the ``kernel``, or in a part that may be compiled later."""
-        if self < Role.DRAWING:
-            return "kernel"
-        return "derivatives" if self < Role.RESIDUAL_JVP else "products"
+        firsts = {"kernel": 0, "drawing": Role.DRAWING, "derivatives": Role.MOTION, "products": Role.RESIDUAL_JVP}
+        return [part for part, first in firsts.items() if self >= first][-1]
 
 
 class Quantity(NamedTuple):

@@ -28,6 +28,7 @@ cdef extern from "fourbar_kernel.h":
         FB_LAST_ANY
     int FB_BREAKPOINTS
     int FB_ENERGY
+    int FB_DRAWING, FB_MOTION
     int FB_STATE_PARTIALS
     int FB_PARAMETER_PARTIALS
     int FB_INPUT_PARTIALS

@@ -273,8 +273,13 @@ cdef class Evaluator:
         return self.kernel.batch_functions == NULL and self.kernel.batch_functions_apart != 0
 
     @property
+    def lacks_drawing(self):
+        """Whether positions and orientations for pictures are in a library that is not attached yet."""
+        return self.functions[FB_DRAWING].call == NULL
+
+    @property
     def lacks_derivatives(self):
-        """Whether derivatives and data for drawings are in a library that is not attached yet."""
+        """Whether derivatives are in a library that is not attached yet."""
         return self.functions[FB_STATE_PARTIALS].call == NULL
 
     @property
@@ -317,6 +322,10 @@ cdef class Evaluator:
         if not fb_attach(self.functions, <const fb_part *>address):
             raise _other_layout(self.layout)
 
+    def require_drawing(self):
+        """Attach positions and orientations for pictures; a subclass that has their sources builds them."""
+        raise ModelError("Positions and orientations for pictures are in a library of their own: attach it.")
+
     def require_derivatives(self):
         """Attach the derivatives; a subclass that has their sources builds them."""
         raise ModelError("The derivatives are in a library of their own: attach it.")
@@ -334,7 +343,9 @@ cdef class Evaluator:
         if not 0 <= role < FB_N_ROLES:
             raise ModelError(f"The roles of functions are 0 to {FB_N_ROLES - 1}, not {role}.")
         if self.functions[role].call == NULL:
-            if role < FB_RESIDUAL_JVP:
+            if role < FB_MOTION:
+                self.require_drawing()
+            elif role < FB_RESIDUAL_JVP:
                 self.require_derivatives()
             else:
                 self.require_products()

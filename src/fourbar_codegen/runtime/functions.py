@@ -156,6 +156,18 @@ class Functions(Evaluator):
         """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
         return self.evaluate_along({Role.DRAWING: (0, 1)}, times, states, inputs, p)[1]
 
+    def orientations_along(self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None) -> Floats:
+        """The rotation matrices of the drawn bodies, shape (n_bodies, 3, 3, n_t), for states and inputs in columns."""
+        [rotations] = self.evaluate_along({Role.ORIENTATIONS: (0,)}, times, states, inputs, p)[1]
+        return rotations.reshape(-1, 3, 3, rotations.shape[-1])
+
+    def mass_properties(
+        self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None
+    ) -> tuple[Floats, Floats]:
+        """Masses of the drawn bodies, shape (n_bodies,), and central inertias along their axes, (n_bodies, 3, 3)."""
+        masses, inertias = self.evaluate(Role.MASS_PROPERTIES, t, x, p, r)
+        return masses, inertias.reshape(-1, 3, 3)
+
     def motion_along(self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None) -> list[Floats]:
         """Velocities and accelerations of the drawn points, shape (n_points, 3, n_t), NaN at singular positions."""
         return self.evaluate_along({Role.MOTION: (1, 2)}, times, states, inputs, p)[1]

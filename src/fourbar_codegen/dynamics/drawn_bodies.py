@@ -1,0 +1,59 @@
+"""The bodies of a mechanism in pictures: how they are turned, and what box has their mass and inertia."""
+
+from __future__ import annotations
+
+from fourbar_codegen.dynamics.equations import DrawnBodies, Variables, of_known, vector
+from fourbar_codegen.dynamics.kane import Kane
+from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Rotation, multiply
+from fourbar_codegen.expressions.tape import Result, Scalar
+
+__all__ = ["form_bodies"]
+
+
+def form_bodies(kane: Kane, variables: Variables) -> DrawnBodies:
+    """Orientations, masses and central inertias of the bodies with a frame.
+
+    Parameters
+    ----------
+    kane : Kane
+    variables : Variables
+
+    Returns
+    -------
+    DrawnBodies
+        Entries that contain other parameters or inputs than `variables` are NaN: nobody has asked for values of these.
+    """
+    kinematics = kane.kinematics
+    names, rotations, masses, inertias = list[str](), list[list[Scalar]](), list[Scalar](), list[list[Scalar]]()
+    for body, mass, inertia in kane.mass_properties():
+        if body.frame is None or not kinematics.is_oriented(body.frame):
+            continue
+        names.append(body.name)
+        masses.append(mass)
+        rotations.append(_row_by_row(kinematics.rotation(body.frame, INERTIAL)))
+        if inertia is None:
+            inertias.append([kinematics.tape.zero] * 9)
+        else:  # R I R^T, whose rows are those of R (R I^T)^T
+            turn = kinematics.rotation(inertia.frame, body.frame)
+            turned = _columns([multiply(turn, row) for row in inertia.matrix])
+            inertias.append(_row_by_row(_columns([multiply(turn, row) for row in turned])))
+    return DrawnBodies(
+        tuple(names),
+        _rows("orientations", variables, rotations),
+        vector("masses", of_known(variables, masses)),
+        _rows("inertias", variables, inertias),
+    )
+
+
+def _row_by_row(matrix: Rotation) -> list[Scalar]:
+    return [entry for row in matrix for entry in row]
+
+
+def _columns(rows: list[Components]) -> Rotation:
+    """The transpose."""
+    a, b, c = zip(*rows, strict=True)
+    return a, b, c
+
+
+def _rows(name: str, variables: Variables, rows: list[list[Scalar]]) -> Result:
+    return Result(name, (len(rows), 9), tuple(of_known(variables, [entry for row in rows for entry in row])))

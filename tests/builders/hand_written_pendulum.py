@@ -25,7 +25,7 @@ def manifest(rows):
     of_motion = [x | mass | force | a_x | multipliers, y | gravity | mass | a_y | multipliers]
     of_constraint = x | y | u_x | u_y
     return {
-        "format": 22,
+        "format": 23,
         "name": "pendulum",
         "fingerprint": f"{rows:064x}",
         "coordinates": ["x", "y"],
@@ -65,6 +65,7 @@ def manifest(rows):
         "is_drawn_at_rest": True,
         "gravity": [0, -1, 0],
         "forced_points": [1],
+        "bodies": ["bob"],
         "initial": {"x": 0.3, "y": -0.7, "u_x": 0.0},
         "invariants": [],
         "position_rows": [*range(rows)],

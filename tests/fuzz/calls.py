@@ -175,8 +175,8 @@ class Calls:
 
 
 NOT_FOR_USERS = {
-    "lacks_batch_functions", "lacks_derivatives", "lacks_products",
-    "require_batch_functions", "require_derivatives", "require_products",
+    "lacks_batch_functions", "lacks_derivatives", "lacks_drawing", "lacks_products",
+    "require_batch_functions", "require_derivatives", "require_drawing", "require_products",
 }  # fmt: skip
 """Names of `CompiledModel` without arguments of a user."""
 

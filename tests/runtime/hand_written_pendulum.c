@@ -385,6 +385,21 @@ static void drawing(double t, const double *x, const double *constants, const do
     forces[1] = forces[2] = 0.0;
 }
 
+static void orientations(double t, const double *x, const double *constants, const double *r, double *rotations)
+{
+    (void)t, (void)x, (void)constants, (void)r;
+    for (int i = 0; i < 9; ++i)
+        rotations[i] = i % 4 == 0;
+}
+
+static void mass_properties(double t, const double *x, const double *constants, const double *r, double *masses,
+                            double *inertias)
+{
+    (void)t, (void)x, (void)r;
+    masses[0] = constants[MASS];
+    memset(inertias, 0, 9 * sizeof(double));
+}
+
 static void motion(double t, const double *x, const double *constants, const double *r, const double *a,
                    double *coordinate_accelerations, double *velocities, double *accelerations)
 {
@@ -405,6 +420,8 @@ static void state_rate_partials(double t, const double *x, const double *constan
 }
 
 CALL(drawing, OF_STATE, results[0], results[1])
+CALL(orientations, OF_STATE, results[0])
+CALL(mass_properties, OF_STATE, results[0], results[1])
 CALL(motion, OF_STATE, at->accelerations, results[0], results[1], results[2])
 CALL(state_partials, OF_SOLUTION, results[0], results[1])
 CALL(parameter_partials, OF_SOLUTION, results[0], results[1])
@@ -426,6 +443,8 @@ const fb_part pendulum_derivatives = {
     .functions =
         {
             [FB_DRAWING] = ROW(drawing, STATE, MATRIX(points, N_POINTS, 3), MATRIX(forces, N_FORCES, 3)),
+            [FB_ORIENTATIONS] = ROW(orientations, STATE, MATRIX(orientations, 1, 9)),
+            [FB_MASS_PROPERTIES] = ROW(mass_properties, STATE, VECTOR(masses, 1), MATRIX(inertias, 1, 9)),
             [FB_MOTION] = ROW(motion, STATE | FB_NEEDS_ACCELERATIONS, VECTOR(coordinate_accelerations, N_Q),
                               MATRIX(point_velocities, N_POINTS, 3), MATRIX(point_accelerations, N_POINTS, 3)),
             [FB_STATE_PARTIALS] = PARTIALS_ROW(state_partials, N_X),

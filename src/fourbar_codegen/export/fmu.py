@@ -100,11 +100,10 @@ class _Group:
 
 def _groups(layout: Layout, quantities: Sequence[str] = ()) -> list[_Group]:
     """What an FMU has besides states, parameters and inputs."""
-    without, points = layout.potential_energy.without, list[tuple[str, str, str]]()
+    without, points = layout.potential_energy.without, list[tuple[str, str, str] | None]()
     potential = ("potential energy", f"without {', '.join(without)}" if without else "", "J")
-    for number, point in enumerate(layout.drawing.points):
-        name = point.name or f"point {number}"
-        points += [(f"{name}.{axis}", f"position of {name}", "m") for axis in "xyz"]
+    for point in layout.drawing.points:  # of those without a name, results are computed, but are no variables
+        points += [(f"{point.name}.{axis}", f"position of {point.name}", "m") if point.name else None for axis in "xyz"]
     groups = [
         _Group("outputs", Watched.OUTPUT, [(name, "", "") for name in layout.outputs], len(layout.outputs), True, True),
         _Group(

@@ -40,7 +40,7 @@ class _Slide:
 
 
 def find_shapes(
-    frames: Sequence[Frame], points: Sequence[DrawnPoint], bodies: Iterable[Body]
+    frames: Sequence[Frame], points: Sequence[DrawnPoint], bodies: Iterable[Body], pathways: Iterable[Shape] = ()
 ) -> tuple[tuple[DrawnPoint, ...], tuple[Shape, ...]]:
     """Ground, links and sliders, and unnamed points in the directions of guides.
 
@@ -50,6 +50,8 @@ def find_shapes(
     points : sequence of DrawnPoint
         The first one is at rest.
     bodies : iterable of Body
+    pathways : iterable of Shape
+        Springs, dampers and other actuators between points: what they hold without a body beside them has no guide.
 
     Returns
     -------
@@ -106,7 +108,12 @@ def find_shapes(
         if number == 0 or len(vertices) > 1:
             shapes.append(Shape("link" if number else "ground", name, vertices))
     tips = []
+    held = {frozenset((shape.points[0], shape.points[-1])) for shape in pathways}
     for slide in slides:
+        guide = rigid.of(fixed(slide.base, slide.frame))
+        alone = guide not in names and len(links.get(guide, ())) < 2 and unturned.of(slide.frame) != unturned.of(0)
+        if alone and frozenset((slide.point, slide.base)) in held:  # a spring pendulum
+            continue
         # The guide is on the ground, or on the link that has more to it, such as a rod that slides through a block.
         sizes = [len(links.get(rigid.of(fixed(n, slide.frame)), ())) for n in (slide.point, slide.base)]
         swapped = sizes[0] > sizes[1] and unturned.of(slide.frame) != unturned.of(0)

@@ -99,7 +99,8 @@ def read_mechanism(
     known = _Known(frozenset(q), frozenset(rates), own)
     drawn, of_points, not_drawn = reader.drawn(description.bodies, named, known)
     frames = reader.frames()
-    tips, shapes = find_shapes(frames, drawn, bodies)
+    pathways = tuple(_pathways(description.actuators, of_points))
+    tips, shapes = find_shapes(frames, drawn, bodies, pathways)
     return Mechanism(
         time=me.dynamicsymbols._t,
         coordinates=(*description.q_ind, *description.q_dep),
@@ -119,7 +120,7 @@ def read_mechanism(
         **_actuators(description),
         acceleration_constraints=tuple(description.acceleration_constraints),
         drawn=(*drawn, *tips),
-        shapes=(*shapes, *_pathways(description.actuators, of_points), *_drawn_lines(lines, drawn, of_points)),
+        shapes=(*shapes, *pathways, *_drawn_lines(lines, drawn, of_points)),
         not_drawn=not_drawn,
         length_laws=tuple(_length_laws(description.sources)),
         is_origin_fixed=None if fixed is None else next(iter(of_points), None) is fixed,

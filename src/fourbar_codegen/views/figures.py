@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 from collections.abc import Callable, Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,8 @@ from fourbar_codegen.interface.arguments import name_of, positive
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.views.frames import equal_times, frames_of
-from fourbar_codegen.views.panels import Panel, panels
-from fourbar_codegen.views.scene import SYMBOLS, Scene, View, known_points, scene, view_of
+from fourbar_codegen.views.panels import Panel, panels, title_with_unit
+from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -49,6 +50,14 @@ FPS = 30.0
 
 COLORS = 64
 """Of a GIF."""
+
+NEAR_BACKGROUND = 8
+"""Difference of colours, of 255, that nobody sees."""
+
+LEGEND = 8
+"""Most names of paths beside a drawing."""
+WIDTH, HEIGHT = 0.085, 0.2
+"""Of a letter and of a line of a legend below a drawing, in inches."""
 
 TICKS = 6
 """Numbers along the longest axis in space."""
@@ -124,7 +133,7 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any] = ()) -> 
     """
     if len(trajectory.t) < SMOOTH and len(np.unique(trajectory.t)) > 1:
         trajectory = trajectory.resample(np.linspace(trajectory.t[0], trajectory.t[-1], SMOOTH))
-    chosen = [_panel(trajectory.kernel.title(name), trajectory[name]) for name in _quantities(names)]
+    chosen = [_panel(trajectory, name) for name in _quantities(names)]
     shown = chosen or [panel for panel in panels(trajectory) if panel.is_open]
     figure, cells = _stacked([panel.title for panel in shown], 2.2, "time (s)")
     for axes, panel in zip(cells, shown, strict=True):
@@ -189,9 +198,11 @@ def _quantities(names: str | Sequence[Any]) -> list[str]:
     return list(map(name_of, given))
 
 
-def _panel(name: str, values: Floats) -> Panel:
+def _panel(trajectory: Trajectory, name: str) -> Panel:
     """A quantity over time, or the three coordinates of a point."""
-    return Panel(name, {name: values} if values.ndim == 1 else dict(zip("xyz", values, strict=True)))
+    values, title = trajectory[name], trajectory.kernel.title(name)
+    curves = {title: values} if values.ndim == 1 else dict(zip("xyz", values, strict=True))
+    return Panel(title_with_unit(trajectory.kernel, name), curves)
 
 
 def plot_paths(trajectory: Trajectory, points: Sequence[str] = ()) -> Figure:
@@ -240,8 +251,14 @@ def _draw_paths(axes: Any, drawn: Scene, points: Sequence[str]) -> None:
 
 
 def _name_paths(axes: Any, drawn: Scene) -> None:
-    """A legend beside the axes, if there are paths."""
-    if axes.get_legend_handles_labels()[0]:
+    """A legend beside the axes, if there are paths; below them if there are many."""
+    names, figure = axes.get_legend_handles_labels()[1], axes.figure
+    n = len(names)
+    if n > LEGEND:
+        columns = max(1, int(figure.get_figwidth() / (0.5 + WIDTH * max(map(len, names)))))
+        figure.legend(loc="outside lower center", fontsize="small", ncols=columns)
+        figure.set_figheight(figure.get_figheight() + HEIGHT * -(-n // columns))
+    elif n:
         axes.legend(loc="center left", bbox_to_anchor=(1.02 if drawn.is_planar else 1.15, 0.5))
 
 
@@ -276,7 +293,7 @@ def plot_ensemble(ensemble: Ensemble, names: str | Sequence[Any] = ()) -> Figure
     quantities = _quantities(names) or list(ensemble.kernel.coordinates)
     if not len(ensemble):
         raise ModelError("There is nothing to plot: the ensemble has no members.")
-    figure, cells = _stacked([_label(ensemble.kernel.title(name)) for name in quantities], 2.6, "time (s)")
+    figure, cells = _stacked([_label(title_with_unit(ensemble.kernel, name)) for name in quantities], 2.6, "time (s)")
     varied = ensemble.varied
     draw = _draw_members if len(varied) == 1 else _draw_bands
     for axes, name in zip(cells, quantities, strict=True):
@@ -351,7 +368,8 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         + (f"\n{_label(modes.freedom)}" if modes.free else ""),
         wrap=True,
     )
-    low, high = drawn.positions.min(axis=(0, 2)), drawn.positions.max(axis=(0, 2))
+    shown = drawn.positions[drawn.shown]
+    low, high = shown.min(axis=(0, 2)), shown.max(axis=(0, 2))
     n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
         _draw(axes, drawn)(number)
@@ -394,7 +412,8 @@ def plot_kinematics(found: Kinematics, *names: Any) -> Figure:
         known = [*found.kernel.states, *found.kernel.points]
         raise ModelError(f"There is no {', '.join(unknown)}; there are {', '.join(known)}.")
     [(driven, values), *_] = found.drive.items()
-    figure, cells = _stacked([_label(name) for name in quantities], 2.4, _label(driven))
+    titles = [_label(title_with_unit(found.kernel, name)) for name in (*quantities, driven)]
+    figure, cells = _stacked(titles[:-1], 2.4, titles[-1])
     for axes, name in zip(cells, quantities, strict=True):
         for number, branch in enumerate(found):
             for part, letter in zip(np.atleast_2d(branch[name]), "xyz", strict=False):
@@ -497,8 +516,7 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
     styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in drawn.lines]
     styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
     for symbol in drawn.symbols:
-        has_outline = symbol.kind in SYMBOLS
-        styled.append((symbol.kind, drawn.outline(symbol) if has_outline else drawn.positions[symbol.at][:, None]))
+        styled.append((symbol.kind, drawn.outline(symbol) if symbol.outline else drawn.positions[symbol.at][:, None]))
     styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
     lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
     areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar]
@@ -559,7 +577,7 @@ def animate(
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed))
     dimensions = len(drawn.scene.view.axes)
-    every = drawn.scene.positions[:, :dimensions]
+    every = drawn.scene.positions[[*drawn.scene.shown, *chain(*drawn.arrows.items())], :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
     middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.scene.size
     if drawn.scene.is_planar:  # height of the figure as needed
@@ -613,7 +631,7 @@ def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:
 
 
 def _gif_writer(animations: Any) -> Any:
-    """A writer of GIFs with one palette, that of the first frame.
+    """A writer of GIFs with one palette, that of the first frame, in which the background is exact.
 
     Matplotlib's leaves it to Pillow to choose a palette for each frame, which takes most of the time.
     """
@@ -621,17 +639,24 @@ def _gif_writer(animations: Any) -> Any:
 
     class Writer(animations.AbstractMovieWriter):
         frames: list[Any]
+        palette: Any
 
         def setup(self, fig: Any, outfile: Any, dpi: Any = None) -> None:
             super().setup(fig, outfile, dpi=dpi)
-            self.frames = []
+            self.frames, self.palette = [], None
 
         def grab_frame(self, **how: Any) -> None:
             buffer = io.BytesIO()
             self.fig.savefig(buffer, **{**how, "format": "rgba", "dpi": self.dpi})
             frame = images.frombuffer("RGBA", self.frame_size, buffer.getbuffer(), "raw", "RGBA", 0, 1).convert("RGB")
-            known = {"palette": self.frames[0]} if self.frames else {"colors": COLORS, "kmeans": 3}
-            self.frames.append(frame.quantize(dither=images.Dither.NONE, **known))
+            if self.palette is None:
+                self.palette = frame.quantize(COLORS, kmeans=3)
+                colors = np.reshape(self.palette.getpalette(), (-1, 3))
+                background = frame.getpixel((0, 0))
+                # Pillow takes colours that are nearly the nearest, so none is near the background.
+                colors[np.abs(colors - background).max(axis=1) < NEAR_BACKGROUND] = background
+                self.palette.putpalette(colors.ravel().tolist())
+            self.frames.append(frame.quantize(palette=self.palette, dither=images.Dither.NONE))
 
         def finish(self) -> None:
             first, *others = self.frames

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from fourbar_codegen.views.scene import SYMBOLS, Scene
+from fourbar_codegen.views.scene import Scene
 
 __all__ = ["frame_times", "html_file", "html_text", "packed", "scene_data"]
 
@@ -47,7 +47,7 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], unit: float) -> dict[str
         ],
         "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in scene.lines],
         "symbols": [asdict(symbol) for symbol in scene.symbols],
-        "outlines": SYMBOLS,
+        "shown": scene.shown,
     }
 
 

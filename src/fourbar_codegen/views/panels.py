@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import ENERGIES, Kernel
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.enumerations import VECTORS, Quantity
 
-__all__ = ["ENERGY", "Panel", "panel_names", "panels", "vector_title"]
+__all__ = ["ENERGY", "Panel", "panel_names", "panels", "title_with_unit", "vector_title"]
 
 Floats = NDArray[np.float64]
 
@@ -52,6 +52,25 @@ def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
         ("Multipliers of the constraints", tuple(f"lambda{number + 1}" for number in range(model.n_c)), False),
         (f"{model.residual_label} (units of the constraints)", ("largest residual",), True),
     ]
+
+
+def title_with_unit(model: Kernel, name: str) -> str:
+    """The title of a quantity, with its unit as far as that is known."""
+    title = model.title(name)
+    if name in model.coordinates:
+        return f"{title} ({'rad' if name in model.layout.angles else 'rad or m'})"
+    if name in model.speeds:
+        return f"{title} (rad/s or m/s)"
+    if name in (*model.auxiliary_states, *model.inputs, *model.outputs):
+        return title
+    units = {
+        "t": "s",
+        **dict.fromkeys((*ENERGIES, "kinetic_energy", "kinetic energy"), "J"),
+        **dict.fromkeys(model.points, "m"),
+    }
+    for vector in VECTORS:
+        units |= dict.fromkeys((vector.name, *vector.components), vector.unit)
+    return f"{title} ({units[name]})" if name in units else title
 
 
 def vector_title(vector: Quantity) -> str:

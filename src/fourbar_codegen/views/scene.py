@@ -18,7 +18,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["SYMBOLS", "Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
+__all__ = ["Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
 
 Floats = NDArray[np.float64]
 
@@ -38,9 +38,17 @@ Template = tuple[tuple[tuple[float, float, float], ...], ...]
 """Lines of a symbol. Each point has a fraction of the way from the symbol's place to the point that it is directed to,
 and displacements along and across that direction in units of the symbols' size."""
 
-COILS = 6
+COILS = (6, 20)
+"""Least and largest number of coils of a spring; between these, a coil is as long as it is wide."""
 SPACE = 1.6
 """Distance of springs and dampers side by side."""
+
+
+def _coil(coils: int) -> Template:
+    """A spring with a number of coils."""
+    turns = [(0.2 + 0.6 * (i + 0.5) / (2 * coils), 0.0, 0.5 * (-1.0) ** i) for i in range(2 * coils)]
+    return (((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), *turns, (0.8, 0.0, 0.0), (1.0, 0.0, 0.0)),)
+
 
 SYMBOLS: dict[str, Template] = {
     "ground": (
@@ -49,15 +57,6 @@ SYMBOLS: dict[str, Template] = {
         *(((0.0, x, -1.0), (0.0, x - 0.4, -1.5)) for x in (-0.7, -0.1, 0.5, 1.1)),
     ),
     "slider": (((0.0, -1.0, -0.6), (0.0, 1.0, -0.6), (0.0, 1.0, 0.6), (0.0, -1.0, 0.6), (0.0, -1.0, -0.6)),),
-    "spring": (
-        (
-            (0.0, 0.0, 0.0),
-            (0.2, 0.0, 0.0),
-            *((0.2 + 0.6 * (i + 0.5) / (2 * COILS), 0.0, 0.5 * (-1.0) ** i) for i in range(2 * COILS)),
-            (0.8, 0.0, 0.0),
-            (1.0, 0.0, 0.0),
-        ),
-    ),
     "damper": (
         ((0.0, 0.0, 0.0), (0.35, 0.0, 0.0)),
         ((0.35, 0.0, -0.5), (0.35, 0.0, 0.5)),
@@ -94,19 +93,21 @@ class Symbol:
     Attributes
     ----------
     kind : {"ground", "pin", "mass", "slider", "spring", "damper"}
-        Those that are no circles have lines in `SYMBOLS`.
     at : int
         Row of the position where it stands.
     toward : int or None
         Row of the position that it is directed to; None for the x axis.
     shift : float
         Displacement across, in units of the symbols' size, of several between the same points.
+    outline : Template
+        Its lines; empty for a circle.
     """
 
     kind: str
     at: int
     toward: int | None = None
     shift: float = 0.0
+    outline: Template = ()
 
 
 @dataclass(frozen=True)
@@ -137,6 +138,10 @@ class View:
     def __call__(self, positions: Floats) -> Floats:
         """Positions in the new coordinates, shape (..., 3, n_t)."""
         return np.asarray(self.turn @ positions)
+
+
+_told: set[str] = set()
+"""Fingerprints of the models whose points that are not drawn were named."""
 
 
 def view_of(model: Kernel, positions: Floats) -> View:
@@ -211,6 +216,12 @@ class Scene:
                 joints[row] = name
         return joints or moving
 
+    @property
+    def shown(self) -> list[int]:
+        """Rows that are in the picture: not points without a symbol, nor those that guides are directed to."""
+        rows = {row for line in self.lines for row in line.rows} | {symbol.at for symbol in self.symbols}
+        return sorted(rows | set(self.traced()))
+
     def outline(self, symbol: Symbol) -> Floats:
         """The lines of a symbol, one after the other with NaN between them, shape (3, n_points, n_t)."""
         at = self.positions[symbol.at]
@@ -223,7 +234,7 @@ class Scene:
                 upright = symbol.toward is None or np.abs(along[2]) > 1.0 - PLANAR
                 across = np.where(upright, np.roll(along, 2, axis=0), across)
         pieces = []
-        for line in SYMBOLS[symbol.kind]:
+        for line in symbol.outline:
             steps = [at + part * way + self.unit * (x * along + (y + symbol.shift) * across) for part, x, y in line]
             pieces += [*steps, np.full_like(at, np.nan)]
         return np.stack(pieces[:-1], axis=1)
@@ -251,7 +262,8 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     """
     if not model.points:
         raise ModelError(f"There is nothing of {model.name} to draw: no positions are given from a point at rest.")
-    if model.layout.drawing.not_drawn:
+    if model.layout.drawing.not_drawn and model.layout.fingerprint not in _told:
+        _told.add(model.layout.fingerprint)
         warnings.warn(
             f"Points of {model.name} that are not drawn: {', '.join(model.layout.drawing.not_drawn)}. Their positions "
             "take frames, parameters without values or inputs that nothing else needs. Model(points=[...]) draws them.",
@@ -278,17 +290,20 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
             lines += _outline(positions, points, size)
         elif kind == "slider":
             lines.append(Line("guide", (len(rows), len(rows) + 1)))
-            symbols.append(Symbol("slider", points[0], len(rows) + 1))
+            symbols.append(Symbol("slider", points[0], len(rows) + 1, outline=SYMBOLS["slider"]))
             rows += _guide(positions[[*points]], 2.0 * unit)
         elif kind in ("spring", "damper"):
             beside = sum({s.at, s.toward} == {points[0], points[-1]} for s in symbols)
-            symbols.append(Symbol(kind, points[0], points[-1], beside * SPACE))
+            outline = SYMBOLS[kind] if kind == "damper" else _coil(_coils(positions, points, unit))
+            symbols.append(Symbol(kind, points[0], points[-1], beside * SPACE, outline))
         elif kind != "ground":
             lines.append(Line(kind, points))
     ground = kinds.get("ground", set())
     jointed = ground | kinds.get("link", set()) | kinds.get("slider", set())
     shared = {point: numbers for point, numbers in holders.items() if len(numbers) > 1}
-    symbols += [Symbol("ground", point) for point, numbers in shared.items() if numbers & ground]
+    symbols += [
+        Symbol("ground", point, outline=SYMBOLS["ground"]) for point, numbers in shared.items() if numbers & ground
+    ]
     symbols += [Symbol("pin", point) for point, numbers in shared.items() if len(numbers & jointed) > 1]
     entries = model.layout.drawing.points
     masses = [point for point, entry in enumerate(entries) if entry.body is not None]
@@ -315,6 +330,13 @@ def _coincide(positions: Floats, point: int, other: int, tolerance: float) -> bo
     distance = np.abs(positions[point] - positions[other]).max(axis=0)
     known = distance[np.isfinite(distance)]
     return bool(known.size and known.max() <= tolerance)
+
+
+def _coils(positions: Floats, points: tuple[int, ...], unit: float) -> int:
+    """The number of coils of a spring, as long as it is on average."""
+    lengths = np.linalg.norm(positions[points[-1]] - positions[points[0]], axis=0)
+    known = lengths[np.isfinite(lengths)]
+    return int(np.clip(round(0.6 * np.mean(known) / unit), *COILS)) if known.size else COILS[0]
 
 
 def _guide(positions: Floats, margin: float) -> tuple[Floats, Floats]:

@@ -53,9 +53,7 @@ const mechanismPicture = (svg, scene) => {
     return [WIDTH / 2 + scale * (a - center[0]), HEIGHT / 2 - scale * (b - center[1])];
   };
   const place = (i, k) => placed(positions, i, k, middle);
-  // What is drawn: other rows are points without a symbol, and those that guides are directed to.
-  const drawn = [...new Set([...scene.lines.flatMap(({rows}) => rows), ...scene.symbols.map(({at}) => at),
-    ...scene.arrows.flat(), ...[...scene.points.keys()].filter(k => scene.points[k].traced)])];
+  const drawn = [...new Set([...scene.shown, ...scene.arrows.flat()])];
   // Middle and size of rows at some times.
   const extent = (begin, end, rows) => {
     const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
@@ -73,9 +71,9 @@ const mechanismPicture = (svg, scene) => {
   const behind = make("g", {}, svg), back = make("g", {}, svg), front = make("g", {}, svg), traces = new Map();
   const lines = scene.lines.map(({kind, rows, closed}) =>
     [rows, make(closed ? "polygon" : "polyline", {class: kind}, kind === "guide" ? back : front)]);
-  const symbols = scene.symbols.filter(({kind}) => kind in scene.outlines).map(symbol =>
+  const symbols = scene.symbols.filter(({outline}) => outline.length).map(symbol =>
     [symbol, make("path", {class: symbol.kind}, front)]);
-  const kinds = new Map(scene.symbols.filter(({kind}) => !(kind in scene.outlines)).map(({kind, at}) => [at, kind]));
+  const kinds = new Map(scene.symbols.filter(({outline}) => !outline.length).map(({kind, at}) => [at, kind]));
   const dots = [...new Set([...scene.points.keys(), ...kinds.keys()])].map(k => {
     const {name, body} = scene.points[k] ?? {}, dot = make("circle", {class: kinds.get(k) ?? "point", r: 5}, front);
     if (name) {
@@ -89,12 +87,12 @@ const mechanismPicture = (svg, scene) => {
       front)]);
 
   // The lines of a symbol: parts of the way to the point it is directed to, and displacements along and across.
-  const outline = (i, {kind, at, toward, shift}) => {
+  const symbolText = (i, {outline, at, toward, shift}) => {
     const [x, y] = place(i, at), [a, b] = toward === null ? [x, y] : place(i, toward);
     const far = Math.hypot(a - x, b - y);
     const u = toward === null ? [1, 0] : far > 1e-6 ? [(a - x) / far, (b - y) / far] : [0, 0];
     const size = Math.max(7, scene.unit * scale);
-    return scene.outlines[kind].map(line => "M" + line.map(([part, along, across]) =>
+    return outline.map(line => "M" + line.map(([part, along, across]) =>
       [x + part * (a - x) + size * (along * u[0] + (across + shift) * u[1]),
         y + part * (b - y) + size * (along * u[1] - (across + shift) * u[0])]
         .map(value => value.toFixed(2)).join(",")).join("L")).join("");
@@ -177,7 +175,7 @@ const mechanismPicture = (svg, scene) => {
       }
       for (const [rows, line] of lines) line.setAttribute("points", pointsText(rows.map(k => place(i, k))));
       for (const [symbol, path] of symbols) {
-        const text = outline(i, symbol);
+        const text = symbolText(i, symbol);
         path.setAttribute("d", text.includes("NaN") ? "" : text);
       }
       for (const [from, to, line] of arrows) {
@@ -229,6 +227,8 @@ const mechanismPicture = (svg, scene) => {
 // Curves over time in a section, with a legend that shows the values at the cursor, which follows the pointer: `seek`
 // takes the number of a time. Widths are pixels of the page, so that labels are legible everywhere.
 const COLORS = 8;
+// Smaller values, relative to the largest in the same axes, are rounding errors.
+const NOISE = 1e-12;
 const timePlot = (section, {title, log, names}, seek) => {
   const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 24, TALL = 170;
   const svg = make("svg", {role: "img", "aria-label": title, height: TALL}, section);
@@ -239,7 +239,7 @@ const timePlot = (section, {title, log, names}, seek) => {
     entry.append(`${name} `);
     return make("output", {}, entry);
   });
-  let times = [], curves = [], ghosts = null, marks = [], across = () => LEFT, cursor = null;
+  let times = [], curves = [], ghosts = null, marks = [], across = () => LEFT, cursor = null, greatest = 0;
   const plot = {
     // Times, values of each curve, and of the run before; events, and the curves that are zero there, or -1.
     set(at, values, before = null, events = []) {
@@ -254,9 +254,11 @@ const timePlot = (section, {title, log, names}, seek) => {
       svg.replaceChildren();
       svg.setAttribute("viewBox", `0 0 ${width} ${TALL}`);
       let low = Infinity, high = -Infinity;
+      greatest = 0;
       for (const curve of curves) for (const value of curve) if (Number.isFinite(value)) {
         low = Math.min(low, value);
         high = Math.max(high, value);
+        greatest = Math.max(greatest, Math.abs(value));
       }
       if (low > high) [low, high] = [0, 1];
       if (log) { low = Math.floor(low); high = Math.max(Math.ceil(high), low + 1); }
@@ -301,7 +303,7 @@ const timePlot = (section, {title, log, names}, seek) => {
       cursor.setAttribute("x2", across(times[i]));
       curves.forEach((curve, c) => {
         outputs[c].textContent = !Number.isFinite(curve[i]) ? "" :
-          log ? (10 ** curve[i]).toExponential(1) : numberText(curve[i]);
+          log ? (10 ** curve[i]).toExponential(1) : Math.abs(curve[i]) < NOISE * greatest ? "0" : numberText(curve[i]);
       });
     },
   };

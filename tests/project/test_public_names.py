@@ -22,8 +22,8 @@ NAMES = {
     equilibrium
     forced_points forcing initial_state initial_state_derivatives initial_states input_jacobian
     input_jacobian_batch inputs instructions inverse_dynamics is_portable is_verified jacobian jacobian_batch
-    jvp kernel kinematics kinetic_energy lacks_batch_functions lacks_derivatives lacks_drawing lacks_products layout linearize
-    manifest mass_matrix momentum multipliers n_c n_h n_l n_o n_p n_q n_r n_u n_x n_z name ode output
+    jvp kernel kinematics kinetic_energy lacks_batch_functions lacks_derivatives lacks_drawing lacks_products
+    layout linearize manifest mass_matrix momentum multipliers n_c n_h n_l n_o n_p n_q n_r n_u n_x n_z name ode output
     output_input_jacobian output_jacobian output_parameter_jacobian outputs page parameter_jacobian
     parameter_jacobian_batch parameters path points position_constraints positions potential_energy prescribed
     require_batch_functions require_derivatives require_drawing require_products residual_batch residual_jacobian_batch

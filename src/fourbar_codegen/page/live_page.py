@@ -218,7 +218,7 @@ def _text(
     forces = model.layout.drawing.forced_points
     n_rows = len(found.positions) + len(forces)
     arrows = {point: len(found.positions) + number for number, point in enumerate(forces)}
-    pictured = scene_data(found, arrows, found.unit)
+    pictured = scene_data(found, arrows, 1.0)
     if traces is not None:
         chosen = known_points(model, traces)
         for point in pictured["points"]:

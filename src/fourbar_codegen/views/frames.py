@@ -66,7 +66,9 @@ def frames_of(trajectory: Trajectory, times: Callable[[float, float], Floats]) -
         raise ModelError(f"There is nothing of {model.name} to draw: the run has no states.")
     shown = trajectory.resample(times(t[0], t[-1]))
     positions, _ = model.drawing_along(shown.t, shown.y, shown.r, shown.parameters)
-    found = scene(model, positions)
+    values = np.array([*model.defaults.values()] if shown.parameters is None else shown.parameters, dtype=float)
+    rotations = model.orientations_along(shown.t, shown.y, shown.r, shown.parameters)
+    found = scene(model, positions, rotations=rotations, p=values)
     # Forces that are not finite have no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import base64
 import html
+import importlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from importlib import resources
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fourbar_codegen.views.scene import Scene
+from fourbar_codegen.views.solids import Solid
 
-__all__ = ["frame_times", "html_file", "html_text", "packed", "scene_data"]
+__all__ = ["frame_times", "html_file", "html_text", "packed", "quaternions", "scene_data"]
+
+Floats = NDArray[np.float64]
 
 FRAMES_PER_SECOND = 60
 MIN_FRAMES = 241
@@ -34,11 +39,19 @@ def packed(values: Any, dtype: str = "<f4") -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
 
 
-def scene_data(scene: Scene, arrows: Mapping[int, int], unit: float) -> dict[str, Any]:
-    """What `mechanismPicture` of svg_pictures.js takes; `unit` is the size of symbols in the unit of the positions."""
+def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float) -> dict[str, Any]:
+    """What `mechanismPicture` of svg_pictures.js and `solidPicture` of solid_pictures.js take.
+
+    Parameters
+    ----------
+    scene : Scene
+    arrows : mapping of int to int
+    scale : float
+        Of lengths, so that they are in the unit of the positions that the scripts have.
+    """
     traced = scene.traced()
     return {
-        "unit": unit,
+        "unit": scene.unit * scale,
         "planar": scene.is_planar,
         "arrows": list(arrows.items()),
         "points": [
@@ -48,7 +61,48 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], unit: float) -> dict[str
         "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in scene.lines],
         "symbols": [asdict(symbol) for symbol in scene.symbols],
         "shown": scene.shown,
+        **_solids(scene.solids, scale),
+        "ground": [*scene.contacts],
     }
+
+
+def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
+    """Meshes, each once, and the solids that have them."""
+    meshes: dict[str, int] = {}
+    entries = []
+    for solid in solids:
+        mesh = json.dumps(
+            {
+                "vertices": packed(solid.mesh.vertices * scale),
+                "normals": packed(np.round(solid.mesh.normals * 127.0), "<i1"),
+                "faces": packed(solid.mesh.faces, "<u2"),
+            }
+        )
+        entries.append(
+            {
+                "name": solid.name,
+                "mesh": meshes.setdefault(mesh, len(meshes)),
+                "color": solid.color,
+                "row": solid.row,
+                "turn": solid.turn,
+                "offset": (solid.offset * scale).tolist(),
+                "rotation": solid.rotation.ravel().tolist(),
+                "to": solid.to,
+            }
+        )
+    return {"meshes": [json.loads(mesh) for mesh in meshes], "solids": entries}
+
+
+def quaternions(rotations: Floats) -> Floats:
+    """Quaternions (x, y, z, w) of rotation matrices of shape (n_bodies, 3, 3, n_t), shape (n_t, n_bodies, 4)."""
+    n_bodies, _, _, n = rotations.shape
+    matrices = np.moveaxis(rotations, 3, 0).reshape(-1, 3, 3)
+    known, found = np.isfinite(matrices).all(axis=(1, 2)), np.full((len(matrices), 4), np.nan)
+    if known.any():
+        found[known] = (
+            importlib.import_module("scipy.spatial.transform").Rotation.from_matrix(matrices[known]).as_quat()
+        )
+    return found.reshape(n, n_bodies, 4)
 
 
 def html_text(template: str, title: str, data: Mapping[str, Any], scripts: Iterable[str], **texts: str) -> str:

@@ -4,8 +4,8 @@ const floats = text => new Float32Array(bytesOf(text).buffer);
 const times = new Float64Array(bytesOf(data.times).buffer), positions = floats(data.positions);
 if (data.scene.planar) byId("turn").remove();
 
-const picture = mechanismPicture(byId("mechanism"), data.scene);
-picture.set(positions, positions.length / 3 / times.length);
+const picture = pictureOf(byId("mechanism"), data.scene);
+picture.set(positions, positions.length / 3 / times.length, null, floats(data.rotations));
 followBox(byId("follow"), picture);
 traceBoxes(byId("traces"), data.scene.points, picture);
 

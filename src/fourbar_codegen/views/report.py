@@ -11,7 +11,7 @@ from fourbar_codegen.interface.arguments import is_integer
 from fourbar_codegen.interface.notebook import Page, table
 from fourbar_codegen.results.provenance import attributes
 from fourbar_codegen.views.frames import frames_of
-from fourbar_codegen.views.html_page import frame_times, html_text, packed, scene_data
+from fourbar_codegen.views.html_page import frame_times, html_text, packed, quaternions, scene_data
 from fourbar_codegen.views.panels import panels
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SCRIPTS", "report", "report_text", "table_of_run"]
 
-SCRIPTS = ("views/svg_pictures.js", "views/report.js")
+SCRIPTS = ("views/svg_pictures.js", "views/solid_pictures.js", "views/report.js")
 
 
 def report(trajectory: Trajectory, *, height: int = 900) -> Page:
@@ -81,7 +81,8 @@ def report_text(trajectory: Trajectory) -> str:
         "times": packed(drawn.shown.t, "<f8"),
         # Relative to the size of the mechanism, because of the range of single precision.
         "positions": packed(np.moveaxis(drawn.scene.positions, 2, 0) / drawn.scene.size),
-        "scene": scene_data(drawn.scene, drawn.arrows, drawn.scene.unit / drawn.scene.size),
+        "rotations": packed(quaternions(drawn.scene.rotations)),
+        "scene": scene_data(drawn.scene, drawn.arrows, 1.0 / drawn.scene.size),
         "plots": _plots(drawn.shown),
         "table": _rows(trajectory),
     }

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
-from itertools import combinations
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import combinations, pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.layout import Point, Shape
+from fourbar_codegen.views.found_shapes import contacts, found_shapes
+from fourbar_codegen.views.solids import Solid, solids_of
 
 __all__ = ["Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
 
@@ -30,6 +33,12 @@ UNIT = 0.03
 
 LINKS = 4.0
 """Size of a mechanism that travels, relative to its largest link."""
+
+MOST_TIPS = 4
+"""Most ends of links in space with a trace by default."""
+
+ASIDE = 0.2
+"""Distance of a mass centre from the line between two joints at which it is another corner, relative to the line."""
 
 TOUCHING = 1e-6
 """Largest distance of two points that a pin joins, relative to the size of the mechanism; loops may close worse."""
@@ -79,11 +88,14 @@ class Line:
         Rows of the positions that it connects.
     is_closed : bool
         Whether it is the outline of an area.
+    name : str
+        Of a link.
     """
 
     kind: str
     rows: tuple[int, ...]
     is_closed: bool = False
+    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -144,10 +156,10 @@ _told: set[str] = set()
 """Fingerprints of the models whose points that are not drawn were named."""
 
 
-def view_of(model: Kernel, positions: Floats) -> View:
-    """The view of a model's points, shape (n_points, 3, n_t)."""
+def view_of(model: Kernel, positions: Floats, *, in_space: bool = False) -> View:
+    """The view of a model's points, shape (n_points, 3, n_t); in space even if they stay in a plane, as wheels do."""
     size, extents = extent(positions)
-    flat = [axis for axis in (2, 1, 0) if extents[axis] <= PLANAR * size]
+    flat = [axis for axis in (2, 1, 0) if extents[axis] <= PLANAR * size and not in_space]
     axes, gravity = np.eye(3), model.layout.drawing.gravity
     down = None if gravity is None else np.array(gravity, dtype=float)
     if flat:
@@ -181,6 +193,14 @@ class Scene:
     view : View
     unit : float
         Size of the symbols, m.
+    solids : tuple of Solid
+        Bodies as shapes, in space.
+    rotations : ndarray, shape (n_bodies, 3, 3, n_t)
+        Those of the solids, which take components to the coordinates of the view.
+    contacts : tuple of int
+        Rows of the points where wheels touch the ground.
+    tips : tuple of int
+        Rows of the ends of links that no other link or the ground holds.
     """
 
     names: tuple[str, ...]
@@ -191,6 +211,10 @@ class Scene:
     size: float
     view: View
     unit: float
+    solids: tuple[Solid, ...] = ()
+    rotations: Floats = field(default_factory=lambda: np.zeros((0, 3, 3, 0)))
+    contacts: tuple[int, ...] = ()
+    tips: tuple[int, ...] = ()
 
     @property
     def is_planar(self) -> bool:
@@ -209,6 +233,9 @@ class Scene:
         Moving joints and ends of links, one for each position; the mass centres if there are none.
         """
         moving = {row: name for row, name in enumerate(self.names) if self.moves(row)}
+        if self.solids:  # in space, few points
+            few = [*self.contacts] or [row for row in self.tips if row in moving][:MOST_TIPS]
+            return {row: self.names[row] for row in few if row < len(self.names)} or moving
         joints: dict[int, str] = {}
         for row, name in moving.items():
             elsewhere = not any(_coincide(self.positions, row, other, PLANAR * self.size) for other in joints)
@@ -240,7 +267,14 @@ class Scene:
         return np.stack(pieces[:-1], axis=1)
 
 
-def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
+def scene(
+    model: Kernel,
+    positions: Floats,
+    view: View | None = None,
+    *,
+    rotations: Floats | None = None,
+    p: Floats | None = None,
+) -> Scene:
     """What pictures of a model show at several instants.
 
     Parameters
@@ -250,6 +284,10 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
         Of the model's points, those without names included, in the inertial frame, m.
     view : View, optional
         By default that of these positions.
+    rotations : ndarray, shape (n_bodies, 3, 3, n_t), optional
+        Of the model's drawn bodies. Without them, there are lines in space instead of bodies.
+    p : ndarray, shape (n_p,), optional
+        The parameters' values, with rotations.
 
     Returns
     -------
@@ -271,11 +309,13 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
             stacklevel=5,
         )
     named = positions[: len(model.points)]
-    view = view_of(model, named) if view is None else view
+    on_ground = () if rotations is None or p is None else contacts(model, p)
+    view = view_of(model, named, in_space=bool(on_ground)) if view is None else view
     size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
     links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]
-    unit = UNIT * min(size, LINKS * max((extent(link[:, :, :1])[0] for link in links), default=size))
+    longest = max((extent(link[:, :, :1])[0] for link in links), default=size)
+    unit = UNIT * min(size, LINKS * longest)
     rows, lines, symbols = list(positions), list[Line](), list[Symbol]()
     holders: dict[int, set[int]] = {}
     """Points, one for each position, and the numbers of the shapes that have a point there."""
@@ -287,7 +327,7 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
             same = (other for other in holders if _coincide(positions, point, other, TOUCHING * size))
             holders.setdefault(next(same, point), set()).add(number)
         if kind == "link":
-            lines += _outline(positions, points, size)
+            lines += _outline(positions, points, size, shape.name)
         elif kind == "slider":
             lines.append(Line("guide", (len(rows), len(rows) + 1)))
             symbols.append(Symbol("slider", points[0], len(rows) + 1, outline=SYMBOLS["slider"]))
@@ -310,7 +350,24 @@ def scene(model: Kernel, positions: Floats, view: View | None = None) -> Scene:
     still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry.body for entry in entries[: len(model.points)])
-    return Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
+    found = Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
+    if view.is_planar or rotations is None or p is None:
+        return found
+    edges = [
+        (line.name, _distance(positions, a, b), entries[a].name, entries[b].name)
+        for shape in model.layout.drawing.shapes
+        if shape.kind == "link"
+        for line in _outline(positions, _with_center(positions, shape, entries), size, shape.name)
+        for a, b in pairwise((*line.rows, *line.rows[: line.is_closed and len(line.rows) > 2]))
+    ]
+    shapes = found_shapes(model, p, longest, on_ground, edges)
+    return replace(
+        found,
+        solids=tuple(solids_of(model, shapes, p, positions)),
+        rotations=np.einsum("ij,bjkt->bikt", view.turn, rotations),
+        contacts=tuple(contact.point for contact in on_ground),
+        tips=tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1),
+    )
 
 
 def known_points(model: Kernel, points: Iterable[str]) -> list[str]:
@@ -349,11 +406,29 @@ def _guide(positions: Floats, margin: float) -> tuple[Floats, Floats]:
     return moved + (low - way) * along, moved + (high - way) * along
 
 
-def _outline(positions: Floats, points: tuple[int, ...], size: float) -> Iterator[Line]:
+def _distance(positions: Floats, a: int, b: int) -> float:
+    """The distance of two points on a link."""
+    lengths = np.linalg.norm(positions[b] - positions[a], axis=0)
+    return float(lengths[np.isfinite(lengths)].mean()) if np.isfinite(lengths).any() else 1.0
+
+
+def _with_center(positions: Floats, shape: Shape, entries: Sequence[Point]) -> tuple[int, ...]:
+    """The points of a link, and its mass centre if that is far from the line between two of them."""
+    centers = [row for row, entry in enumerate(entries) if entry.body == shape.name and row not in shape.points]
+    instants = np.flatnonzero(np.isfinite(positions).all(axis=(0, 1)))
+    if len(shape.points) != 2 or not centers or not instants.size:
+        return shape.points
+    a, b, center = positions[[*shape.points, centers[0]], :, instants[0]]
+    length = np.linalg.norm(b - a)
+    far = np.linalg.norm(np.cross(b - a, center - a)) > ASIDE * length**2
+    return (*shape.points, centers[0]) if far else shape.points
+
+
+def _outline(positions: Floats, points: tuple[int, ...], size: float, name: str) -> Iterator[Line]:
     """The lines of a link: a line through points on a line, else their convex hull."""
     finite = np.flatnonzero(np.isfinite(positions[list(points)]).all(axis=(0, 1)))
     if len(points) == 2 or not finite.size:
-        yield Line("link", points)
+        yield Line("link", points, name=name)
         return
     corners = positions[list(points), :, finite[0]]
     _, extents, axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)
@@ -361,17 +436,17 @@ def _outline(positions: Floats, points: tuple[int, ...], size: float) -> Iterato
     along = (corners - corners.mean(axis=0)) @ axes[:dimensions].T
     if dimensions == 1:
         order = np.argsort(along[:, 0])
-        yield Line("link", tuple(points[k] for k in order))
+        yield Line("link", tuple(points[k] for k in order), name=name)
     elif len(points) == 3:
-        yield Line("link", points, is_closed=True)
+        yield Line("link", points, is_closed=True, name=name)
     else:
         hull = importlib.import_module("scipy.spatial").ConvexHull(along)
         if dimensions == 2:
-            yield Line("link", tuple(points[k] for k in hull.vertices), is_closed=True)
+            yield Line("link", tuple(points[k] for k in hull.vertices), is_closed=True, name=name)
         else:
             edges = {tuple(sorted(edge)) for facet in hull.simplices for edge in combinations(facet.tolist(), 2)}
             for a, b in sorted(edges):
-                yield Line("link", (points[a], points[b]))
+                yield Line("link", (points[a], points[b]), name=name)
 
 
 def extent(positions: Floats) -> tuple[float, Floats]:

@@ -1,0 +1,251 @@
+"""Shapes of bodies that nobody has given: wheels, rods between joints, boxes, and balls for particles.
+
+They are found from positions and orientations at random states, so a loaded model needs no SymPy for them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
+
+__all__ = ["Contact", "contacts", "found_shapes"]
+
+Floats = NDArray[np.float64]
+
+N_STATES = 20
+RTOL = 1e-9
+"""Tolerance for what is constant at all states, relative to lengths."""
+
+ROD = 0.022
+BALL = 0.045
+"""Radii of rods and of particles, relative to the longest link."""
+
+MOST = 2.2
+"""Largest ratio of radii of rods."""
+
+DENSITY = 1000.0
+"""Of limbs, kg/m^3."""
+
+THIN = 0.03
+"""Least thickness of boxes and discs, relative to their size."""
+
+CORRECTIONS = 8
+"""Of invariants, such as the norms of quaternions, by Newton's method."""
+
+
+@dataclass(frozen=True)
+class Contact:
+    """A wheel on the ground.
+
+    Attributes
+    ----------
+    body, center, point : int
+        The wheel, among the drawn bodies; its centre and contact point, among the drawn points.
+    axis : ndarray, shape (3,)
+        Its axis in the body.
+    radius, tube_radius : float
+        The contact point lies a radius from the centre, in the direction of steepest descent in the wheel's plane, and
+        then a tube's radius downwards.
+    up : ndarray, shape (3,)
+        In the inertial frame.
+    """
+
+    body: int
+    center: int
+    point: int
+    axis: Floats
+    radius: float
+    tube_radius: float
+    up: Floats
+
+
+@dataclass(frozen=True)
+class _States:
+    """Drawn points, (n_states, n_points, 3), and rotation matrices, (n_states, n_bodies, 3, 3), at random states."""
+
+    points: Floats
+    rotations: Floats
+    centers: tuple[int | None, ...]
+    size: float
+
+    def local(self, body: int, center: int) -> Floats:
+        """The points along a body's axes, from one of them, (n_states, n_points, 3)."""
+        return np.asarray((self.points - self.points[:, [center]]) @ self.rotations[:, body])
+
+    def fixed(self, body: int, center: int) -> NDArray[np.bool_]:
+        """The points that are fixed on a body, of which one is given."""
+        return np.asarray(np.ptp(self.local(body, center), axis=0).max(axis=1) <= RTOL * self.size)
+
+    def moves(self, body: int, center: int) -> bool:
+        """Whether a body moves."""
+        turns = np.ptp(self.rotations[:, body], axis=0).max(initial=0.0)
+        return bool(max(turns, np.ptp(self.points[:, center], axis=0).max(initial=0.0) / self.size) > RTOL)
+
+
+def _random_states(model: Kernel, p: Floats) -> _States:
+    generator, times = np.random.default_rng(0), np.linspace(0.0, 1.0, N_STATES)
+    x, r = generator.uniform(-1.0, 1.0, (model.n_x, N_STATES)), generator.uniform(-1.0, 1.0, (model.n_r, N_STATES))
+    if model.n_i:
+        for k in range(N_STATES):
+            for _ in range(CORRECTIONS):
+                x[: model.n_q, k] += model.invariant_correction(times[k], x[: model.n_q, k], p, r[:, k])
+    points = np.moveaxis(model.drawing_along(times, x, r, p)[0], 2, 0)
+    rotations = np.moveaxis(model.orientations_along(times, x, r, p), 3, 0)
+    known = np.isfinite(points).all(axis=(1, 2)) & np.isfinite(rotations).all(axis=(1, 2, 3))
+    points, rotations = points[known], rotations[known]
+    of = {point.body: number for number, point in enumerate(model.layout.drawing.points) if point.body}
+    size = float(np.abs(points - points.mean(axis=1, keepdims=True)).max(initial=0.0)) or 1.0
+    return _States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
+
+
+def contacts(model: Kernel, p: Floats) -> tuple[Contact, ...]:
+    """The wheels of a model that roll on the ground, one for each contact point.
+
+    Parameters
+    ----------
+    model : Kernel
+    p : ndarray, shape (n_p,)
+
+    Returns
+    -------
+    tuple of Contact
+        A contact point is fixed on no body. It is where the tangent of a wheel, a circle or a torus about an axis of
+        the body, is horizontal: C - P = R e_r - r n, with the upward normal n, and e_r the direction of -n in the
+        wheel's plane. That holds to 1e-9 of the radius at 20 random states.
+
+    Notes
+    -----
+    Source: J. P. Meijaard, J. M. Papadopoulos, A. Ruina, A. L. Schwab, "Linearized dynamics equations for the balance
+    and steer of a bicycle", Proceedings of the Royal Society A 463 (2007), for knife-edge wheels.
+    """
+    states = _random_states(model, p)
+    if len(states.points) < 2:
+        return ()
+    bodies = [(body, center) for body, center in enumerate(states.centers) if center is not None]
+    fixed = {body: states.fixed(body, center) for body, center in bodies}
+    best: dict[int, tuple[float, Contact]] = {}
+    for point in range(len(model.points)):
+        if any(of_body[point] for of_body in fixed.values()):
+            continue
+        for body, center in bodies:
+            for up in _upwards(model):
+                for found, spin in _wheels(states, body, center, point, fixed[body], up):
+                    if spin > best.get(point, (0.0, None))[0]:
+                        best[point] = spin, found
+    taken: dict[int, Contact] = {}
+    for _, contact in best.values():
+        taken.setdefault(contact.body, contact)
+    return tuple(taken.values())
+
+
+def _upwards(model: Kernel) -> list[Floats]:
+    gravity = model.layout.drawing.gravity
+    if gravity is not None:
+        return [-np.array(gravity, dtype=float) / np.linalg.norm(gravity)]
+    return [sign * axis for axis in np.eye(3)[::-1] for sign in (1.0, -1.0)]
+
+
+def _wheels(
+    states: _States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
+) -> Iterator[tuple[Contact, float]]:
+    """How a point may be the contact point of a body, if it is, and how far the wheel turns past it."""
+    rotations = states.rotations[:, body]
+    # The wheel's centre: its mass centre, or another point of the body, which cannot spin as fast as a wheel does.
+    for place in (center, *(k for k in np.flatnonzero(fixed).tolist() if k != center)):
+        way = states.points[:, point] - states.points[:, place]
+        local = np.einsum("nji,nj->ni", rotations, way)
+        if np.linalg.norm(way, axis=1).min() <= 1e3 * RTOL * states.size:
+            continue
+        for axis in (*np.eye(3), np.linalg.svd(local)[2][-1]):
+            along = rotations @ axis
+            steepest = -up + (along @ up)[:, np.newaxis] * along
+            length = np.linalg.norm(steepest, axis=1, keepdims=True)
+            if length.min() < RTOL:
+                continue
+            columns = np.stack([(steepest / length).ravel(), np.tile(-up, len(way))], axis=1)
+            (radius, tube), *_ = np.linalg.lstsq(columns, way.ravel(), rcond=None)
+            error = np.abs(columns @ (radius, tube) - way.ravel()).max()
+            if radius > 0.0 and error <= RTOL * radius and tube >= -RTOL * radius:
+                spin = float(np.ptp(local, axis=0).max()) * (1.0 if place == center else 1e-3)
+                tube = 0.0 if tube <= RTOL * radius else float(tube)
+                yield Contact(body, place, point, axis, float(radius), tube, up), spin
+                return
+
+
+def found_shapes(
+    model: Kernel, p: Floats, size: float, on_ground: Sequence[Contact], edges: Sequence[tuple[str, float, str, str]]
+) -> dict[str, tuple[BodyShape, ...]]:
+    """Shapes of all bodies of a model, by the names of bodies and of links without mass.
+
+    Parameters
+    ----------
+    model : Kernel
+    p : ndarray, shape (n_p,)
+    size : float
+        That of the longest link, m.
+    on_ground : sequence of Contact
+    edges : sequence of (str, float, str, str)
+        The name of a link, a length, and the names of two points, for each edge of the link.
+
+    Returns
+    -------
+    dict of str to tuple of BodyShape
+        Of wheels, wheels with spokes if their axle is held by another body, discs otherwise; of links, rods along their
+        edges; of bodies without either, the uniform box of the same mass and central inertia; of particles, balls.
+    """
+    found: dict[str, tuple[BodyShape, ...]] = {}
+    drawing, states = model.layout.drawing, _random_states(model, p)
+    for contact in on_ground:
+        name, at = drawing.bodies[contact.body], drawing.points[contact.center].name
+        axis = _three(contact.axis)
+        others = [(b, c) for b, c in enumerate(states.centers) if c is not None and b != contact.body]
+        is_held = any(states.fixed(body, center)[contact.center] for body, center in others)
+        if contact.tube_radius:
+            found[name] = (Torus(contact.radius, contact.tube_radius, at=at, axis=axis),)
+            if is_held:
+                found[name] += (Wheel(contact.radius, at=at, axis=axis),)
+        else:
+            radius, thickness = contact.radius, THIN * contact.radius
+            found[name] = (Wheel(radius, at=at, axis=axis) if is_held else Disc(radius, thickness, at=at, axis=axis),)
+    touching = {drawing.points[contact.point].name for contact in on_ground}
+    wheels, counts = {*found}, Counter(name for name, *_ in edges)
+    masses, inertias = model.mass_properties(0.0, np.zeros(model.n_x), p, np.zeros(model.n_r))
+    mass_of = dict(zip(drawing.bodies, np.nan_to_num(masses), strict=True))
+    for name, length, *ends in edges:
+        if touching.isdisjoint(ends) and all(ends) and name not in wheels:
+            radius = ROD * size
+            if counts[name] == 1:  # a limb of a mass has about the density of water
+                limb = np.sqrt(mass_of.get(name, 0.0) / (DENSITY * np.pi * length))
+                radius = float(np.clip(limb, radius, MOST * radius))
+            found[name] = (*found.get(name, ()), Line(points=tuple(ends), radius=radius))
+    linked = {body for name in found for body in name.split(" and ")}
+    for name, center, mass, inertia in zip(drawing.bodies, states.centers, masses, inertias, strict=True):
+        moves = center is not None and states.moves(drawing.bodies.index(name), center)
+        if moves and name not in linked and mass > 0.0 and np.isfinite(inertia).all() and inertia.any():
+            found[name] = (_box(mass, inertia),)
+    for point in drawing.points:
+        if point.body is not None and point.body not in drawing.bodies:
+            found.setdefault(point.body, (Sphere(BALL * size, at=point.name),))
+    return found
+
+
+def _box(mass: float, inertia: Floats) -> Box:
+    """The uniform box with a mass and a central inertia: I_x = m (y^2 + z^2) / 12, and so on."""
+    moments, axes = np.linalg.eigh((inertia + inertia.T) / 2.0)
+    if np.count_nonzero(inertia - np.diag(np.diag(inertia))) == 0:
+        moments, axes = np.diag(inertia), np.eye(3)
+    edges = np.sqrt(np.maximum(6.0 * (moments.sum() - 2.0 * moments) / mass, 0.0))
+    x, y, z = np.maximum(edges, THIN * edges.max())
+    return Box(x, y, z, axis=_three(axes[:, 2]), x_axis=_three(axes[:, 0]))
+
+
+def _three(values: Floats) -> tuple[float, float, float]:
+    x, y, z = values.tolist()
+    return x, y, z

@@ -1,0 +1,164 @@
+"""Shapes of bodies -> solids: triangles that move with points and frames of the picture."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fourbar_codegen import shapes
+from fourbar_codegen.errors import ModelError
+from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.shapes import BodyShape, Line
+from fourbar_codegen.views import meshes
+from fourbar_codegen.views.meshes import Mesh
+
+__all__ = ["Solid", "solids_of"]
+
+Floats = NDArray[np.float64]
+
+PALETTE = ("#4c78a8", "#e0913a", "#5a9e6f", "#c0504d", "#8b6bb1", "#9c755f", "#3d9aa8", "#c9659a", "#8a9a3c", "#7b8794")
+"""Of bodies, in order."""
+
+ROUND = "#59626d"
+"""Of wheels."""
+
+COLORS = {
+    "black": "#222222", "white": "#f4f4f4", "grey": "#8a8f96", "red": "#c8423b", "green": "#4b9a5a", "blue": "#4474b8",
+    "orange": "#e0913a", "yellow": "#e3c13d", "purple": "#8b6bb1", "brown": "#8a6248", "cyan": "#3d9aa8",
+    "pink": "#d77ba8",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Triangles of one colour that move with the mechanism.
+
+    Attributes
+    ----------
+    name : str
+        Of the body or the link.
+    mesh : Mesh
+        About the origin and the z axis of the shape.
+    color : str
+        ``#rrggbb``.
+    row : int
+        The row of positions where it is, in the scene.
+    turn : int or None
+        The number of the rotation that it has; None without one.
+    offset : ndarray, shape (3,)
+        From the row to its centre, along the body's axes.
+    rotation : ndarray, shape (3, 3)
+        Takes components along its own axes to the body's.
+    to : int or None
+        The row of the other end of a rod, whose z axis goes from `row` to it, and whose centre is halfway.
+    """
+
+    name: str
+    mesh: Mesh
+    color: str
+    row: int
+    turn: int | None
+    offset: Floats
+    rotation: Floats
+    to: int | None = None
+
+    def placed(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
+        """Its place, shape (3, n_t), and rotation matrix, (3, 3, n_t), for positions and rotations of a scene."""
+        at = positions[self.row]
+        if self.to is not None:
+            way = positions[self.to] - at
+            with np.errstate(all="ignore"):
+                z = way / np.linalg.norm(way, axis=0)
+                # At right angles to the axis that is farthest from the rod's direction.
+                x = np.where(np.abs(z[0]) < 0.9, np.cross([1.0, 0.0, 0.0], z.T).T, np.cross([0.0, 1.0, 0.0], z.T).T)
+                x /= np.linalg.norm(x, axis=0)
+            return at + way / 2.0, np.stack((x, np.cross(z, x, axis=0), z), axis=1)
+        if self.turn is None:
+            return at, np.repeat(self.rotation[:, :, np.newaxis], at.shape[1], axis=2)
+        turn = rotations[self.turn]
+        return at + np.einsum("ijt,j->it", turn, self.offset), np.einsum("ijt,jk->ikt", turn, self.rotation)
+
+
+def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats, positions: Floats) -> Iterator[Solid]:
+    """The solids of shapes by the names of bodies and links.
+
+    Parameters
+    ----------
+    model : Kernel
+    found : mapping of str to sequence of BodyShape
+    p : ndarray, shape (n_p,)
+        Values of parameters that are sizes.
+    positions : ndarray, shape (n_points, 3, n_t)
+        Of drawn points, m, for the lengths of rods.
+
+    Raises
+    ------
+    ModelError
+        If a shape names a parameter or a point that does not exist.
+    """
+    drawing, values = model.layout.drawing, dict(zip(model.parameters, p.tolist(), strict=True))
+    rows = {point.name: row for row, point in reversed([*enumerate(drawing.points)]) if point.name}
+    centers = {point.body: row for row, point in enumerate(drawing.points) if point.body}
+
+    def size(value: float | str) -> float:
+        if isinstance(value, str) and value not in values:
+            raise ModelError(f"A shape has the size {value}, which is no parameter; there are {', '.join(values)}.")
+        return values[value] if isinstance(value, str) else value
+
+    def row_of(name: str) -> int:
+        if name not in rows:
+            raise ModelError(f"A shape names a point {name}, which is not drawn; there are {', '.join(rows)}.")
+        return rows[name]
+
+    for number, (name, of_body) in enumerate(found.items()):
+        for shape in of_body:
+            is_round = isinstance(shape, shapes.Wheel | shapes.Torus | shapes.Disc)
+            color = COLORS.get(shape.color, shape.color) or (ROUND if is_round else PALETTE[number % len(PALETTE)])
+            if isinstance(shape, Line):
+                ends = [row_of(point) for point in shape.points]
+                for row, to in itertools.pairwise(ends):
+                    lengths = np.linalg.norm(positions[to] - positions[row], axis=0)
+                    known = lengths[np.isfinite(lengths)]
+                    mesh = meshes.capsule(size(shape.radius), float(known.mean()) if known.size else 0.0)
+                    yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to)
+                continue
+            turn = drawing.bodies.index(name) if name in drawing.bodies else None
+            if isinstance(shape.at, str):
+                row, offset = row_of(shape.at), np.zeros(3)
+            elif name in centers:
+                row, offset = centers[name], np.array([size(part) for part in shape.at])
+            else:
+                continue  # a body whose position is not known
+            made = MADE_BY[type(shape)](*(size(getattr(shape, part)) for part in shape.sizes))
+            yield Solid(name, made, color, row, turn, offset, _axes(shape))
+
+
+MADE_BY: dict[type[BodyShape], Callable[..., Mesh]] = {
+    shapes.Sphere: meshes.sphere,
+    shapes.Ellipsoid: meshes.ellipsoid,
+    shapes.Box: meshes.box,
+    shapes.Cylinder: meshes.cylinder,
+    shapes.Capsule: meshes.capsule,
+    shapes.Cone: meshes.cone,
+    shapes.Disc: meshes.disc,
+    shapes.Wheel: meshes.wheel,
+    shapes.Torus: meshes.torus,
+    shapes.Plane: meshes.plane,
+    shapes.Arrow: meshes.arrow,
+}
+"""What makes the triangles of a shape of its sizes."""
+
+
+def _axes(shape: BodyShape) -> Floats:
+    """The rotation matrix that takes a shape's axes to the body's."""
+    z = np.array(shape.axis) / np.linalg.norm(shape.axis)
+    if shape.x_axis is None and z[2] == 1.0:
+        return np.eye(3)
+    least = np.eye(3)[np.abs(z).argmin()] if shape.x_axis is None else np.array(shape.x_axis)
+    x = least - (least @ z) * z
+    x /= np.linalg.norm(x)
+    return np.column_stack((x, np.cross(z, x), z))

@@ -501,6 +501,7 @@ manifest = (
     '    -1,\n'
     '    0\n'
     '  ],\n'
+    '  "body_shapes": {},\n'
     '  "forced_points": [\n'
     '    7\n'
     '  ],\n'

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import wraps
 from importlib import import_module
 from pathlib import Path
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from fourbar_codegen.analysis.linearization import state_space as _state_space
     from fourbar_codegen.kernel.inputs import ode as _ode
     from fourbar_codegen.results.samples import trajectory as _trajectory
+    from fourbar_codegen.shapes import BodyShape
     from fourbar_codegen.simulation.batch import input_jacobian_batch as _input_jacobian_batch
     from fourbar_codegen.simulation.batch import jacobian_batch as _jacobian_batch
     from fourbar_codegen.simulation.batch import parameter_jacobian_batch as _parameter_jacobian_batch
@@ -221,6 +222,8 @@ class CompiledModel:
         residual_sparsity = _Later("simulation.batch")
 
     page = Registered[..., Page]()
+    _all_shapes = Registered[[], dict[str, Any]]()
+    _set_shapes = Registered[[Any], None]()
 
     def __init__(self, kernel: Kernel) -> None:
         self.__dict__.update({name: getattr(kernel, name) for name in CompiledModel.__annotations__}, _kernel=kernel)
@@ -314,6 +317,27 @@ class CompiledModel:
     def lacks_products(self) -> bool:
         """Whether products of derivatives with vectors are not built or loaded yet."""
         return self.kernel.lacks_products
+
+    @property
+    def shapes(self) -> dict[str, tuple[BodyShape, ...]]:
+        """What bodies and links look like in pictures in space, by name: given shapes, and those found by themselves.
+
+        Assign a mapping of the bodies that should look otherwise, as for `Model`. It holds for this object and its
+        runs; nothing is compiled. Sizes of found shapes are those of the parameters' default values.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> bicycle = fb.compile_model(fb.models.whipple_bicycle())
+        >>> bicycle.shapes["front wheel"]
+        (Wheel(radius=0.35, at='fo', axis=(0.0, 1.0, 0.0)),)
+        >>> bicycle.shapes = {"front wheel": fb.Wheel(0.35, axis=(0, 1, 0), color="red")}
+        """
+        return self._all_shapes()
+
+    @shapes.setter
+    def shapes(self, shapes: Mapping[Any, BodyShape | Sequence[BodyShape]]) -> None:
+        self._set_shapes(shapes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return facade_of, (self.kernel,)

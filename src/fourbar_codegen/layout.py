@@ -57,7 +57,7 @@ class ShapeKind(StrEnum):
 FORMAT = 23
 """Of the manifest's JSON text."""
 
-NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared")
+NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", "compared", "body_shapes")
 """Parts of the manifest that the C code does not depend on; nor does it on parameters' values, units, descriptions."""
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
@@ -244,7 +244,7 @@ class Drawing:
     forced_points : tuple of int
         Those on which forces of inputs act.
     bodies : tuple of str
-        Those with a frame whose orientation is known.
+        Those with a frame whose orientation is known, then frames that have shapes of their own.
     gravity : tuple of float or None
         Its direction.
     """
@@ -334,6 +334,8 @@ class Layout:
     constraints : Constraints
     breakpoints : Breakpoints
     drawing : Drawing
+    body_shapes : dict of str to tuple
+        The shapes that were given for bodies and frames in pictures, as data; see ``shapes.py``.
     potential_energy : PotentialEnergy
     initial : dict of str to float
         Values of coordinates, speeds and auxiliary states, as far as the model has them.
@@ -362,6 +364,7 @@ class Layout:
     constraints: Constraints
     breakpoints: Breakpoints
     drawing: Drawing
+    body_shapes: Mapping[str, Sequence[Mapping[str, Json]]]
     potential_energy: PotentialEnergy
     initial: Mapping[str, float]
     warnings: tuple[str, ...]
@@ -498,6 +501,7 @@ class Layout:
             "not_drawn": [*drawing.not_drawn],
             "is_drawn_at_rest": drawing.is_at_rest,
             "gravity": _listed(drawing.gravity),
+            "body_shapes": {name: [{**shape} for shape in shapes] for name, shapes in self.body_shapes.items()},
             "forced_points": [*drawing.forced_points],
             "bodies": [*drawing.bodies],
             "initial": {**self.initial},
@@ -580,6 +584,10 @@ class Layout:
                 bodies=_each(str, data["bodies"]),
                 gravity=None if gravity is None else _numbers(gravity),
             ),
+            body_shapes={
+                name: tuple(_object(shape) for shape in _list(shapes))
+                for name, shapes in _object(data["body_shapes"]).items()
+            },
             potential_energy=PotentialEnergy(
                 is_known=_one(bool, data["has_potential_energy"]), without=_each(str, data["energy_without"])
             ),

@@ -7,12 +7,12 @@ from its mass centre.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.interface.arguments import name_of, number
+from fourbar_codegen.interface.arguments import is_mapping, name_of, named, number
 
 __all__ = [
     "KINDS",
@@ -31,6 +31,9 @@ __all__ = [
     "Sphere",
     "Torus",
     "Wheel",
+    "data_of",
+    "named_shapes",
+    "shapes_of",
 ]
 
 Size = float | str
@@ -43,7 +46,7 @@ COLORS = ("black", "white", "grey", "red", "green", "blue", "orange", "yellow", 
 """Names of colours, besides ``#rrggbb``."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class BodyShape:
     """What all shapes have.
 
@@ -79,6 +82,14 @@ class BodyShape:
         if self.color and not (self.color in COLORS or (is_hex and _is_hexadecimal(self.color[1:]))):
             raise ModelError(f"A colour is #rrggbb or one of {', '.join(COLORS)}, not {shown(self.color)}.")
 
+    def __repr__(self) -> str:
+        own, common = list[str](), list[str]()
+        for entry in fields(self):
+            value = getattr(self, entry.name)
+            if entry.default is MISSING or value != entry.default:
+                (common if entry.kw_only else own).append(f"{entry.name}={value!r}")
+        return f"{type(self).__name__}({', '.join(own + common)})"
+
     def to_json(self) -> dict[str, Any]:
         """The shape as data that JSON can hold."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
@@ -100,7 +111,7 @@ class BodyShape:
         return kind(**values)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Sphere(BodyShape):
     """A sphere.
 
@@ -115,7 +126,7 @@ class Sphere(BodyShape):
     radius: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Ellipsoid(BodyShape):
     """An ellipsoid with its half axes along the body's."""
 
@@ -125,7 +136,7 @@ class Ellipsoid(BodyShape):
     z: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Box(BodyShape):
     """A box with the lengths of its edges along the body's axes."""
 
@@ -135,7 +146,7 @@ class Box(BodyShape):
     z: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Cylinder(BodyShape):
     """A cylinder about its axis."""
 
@@ -144,7 +155,7 @@ class Cylinder(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Capsule(BodyShape):
     """A rod with round ends; `length` is that between their centres."""
 
@@ -153,7 +164,7 @@ class Capsule(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Cone(BodyShape):
     """A cone with its tip in the direction of its axis; `at` is halfway up."""
 
@@ -162,7 +173,7 @@ class Cone(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Disc(BodyShape):
     """A disc with a sharp edge, on which it rolls."""
 
@@ -171,7 +182,7 @@ class Disc(BodyShape):
     thickness: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Wheel(BodyShape):
     """A wheel with spokes and a sharp rim, on whose edge it rolls."""
 
@@ -179,7 +190,7 @@ class Wheel(BodyShape):
     radius: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Torus(BodyShape):
     """A torus, such as a tyre; `radius` is that of the circle in its tube."""
 
@@ -188,7 +199,7 @@ class Torus(BodyShape):
     tube_radius: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plane(BodyShape):
     """A thin square at right angles to its axis."""
 
@@ -196,7 +207,7 @@ class Plane(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Arrow(BodyShape):
     """An arrow from `at` in the direction of its axis."""
 
@@ -204,7 +215,7 @@ class Arrow(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class CoordinateFrame(BodyShape):
     """The axes of the body: x red, y green, z blue."""
 
@@ -212,7 +223,7 @@ class CoordinateFrame(BodyShape):
     length: Size
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Line(BodyShape):
     """A rod between points of the mechanism, by their names."""
 
@@ -228,7 +239,7 @@ class Line(BodyShape):
         super().__post_init__()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mesh(BodyShape):
     """Triangles from a file (STL, OBJ, GLB, ...), in the body's axes; needs the extra ``meshes``.
 
@@ -251,6 +262,38 @@ KINDS: dict[str, type[BodyShape]] = {
     )
 }  # fmt: skip
 """All shapes by their names."""
+
+
+def data_of(shapes: Mapping[str, Sequence[BodyShape]]) -> dict[str, list[dict[str, Any]]]:
+    """Shapes by names of bodies as data that JSON can hold."""
+    return {name: [shape.to_json() for shape in of_body] for name, of_body in shapes.items()}
+
+
+def shapes_of(data: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, tuple[BodyShape, ...]]:
+    """The shapes of data that `data_of` has made."""
+    return {name: tuple(map(BodyShape.from_json, of_body)) for name, of_body in data.items()}
+
+
+def named_shapes(given: Any, names: Collection[str]) -> dict[str, tuple[BodyShape, ...]]:
+    """Shapes by names, of a mapping of bodies, frames or their names to a shape or a sequence of shapes.
+
+    Raises
+    ------
+    ModelError
+        If a name is not among those given, or what stands for it is no shape.
+    """
+    if not is_mapping(given):
+        raise ModelError(
+            f"shapes= is a mapping of bodies to shapes, such as {{body: Sphere(0.1)}}, not {shown(given)}."
+        )
+    found: dict[str, tuple[BodyShape, ...]] = {}
+    for name, shape in named(given, names, "body or frame").items():
+        of_body = tuple(shape) if isinstance(shape, list | tuple) else (shape,)
+        for each in of_body:
+            if not isinstance(each, BodyShape):
+                raise ModelError(f"The shape of {name} is one of {', '.join(KINDS)}, not {shown(each)}.")
+        found[name] = of_body
+    return found
 
 
 def _size(value: Any, what: str) -> Size:

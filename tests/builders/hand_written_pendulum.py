@@ -66,6 +66,7 @@ def manifest(rows):
         "gravity": [0, -1, 0],
         "forced_points": [1],
         "bodies": ["bob"],
+        "body_shapes": {},
         "initial": {"x": 0.3, "y": -0.7, "u_x": 0.0},
         "invariants": [],
         "position_rows": [*range(rows)],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -124,7 +125,8 @@ def load_from_sources(name: str, sources: Mapping[str, str], layout: Layout, lat
 def reduced(origin: StoredModel, kernel: Kernel) -> tuple[Any, ...]:
     """What a pickle has of a kernel, for `restored`."""
     path = str(origin.path) if kernel.is_portable else None
-    return restored, (path, kernel.layout, origin.sources_now(kernel), origin.later, origin.compares)
+    layout = replace(kernel.layout, body_shapes=kernel.body_shapes)
+    return restored, (path, layout, origin.sources_now(kernel), origin.later, origin.compares)
 
 
 def restored(
@@ -144,16 +146,21 @@ def restored(
     return kernel_of(_found(path, layout, sources, later), compares=compares)
 
 
+def _is_of(loaded: Loaded, layout: Layout) -> bool:
+    """Whether a model has a layout, but for the shapes of its pictures."""
+    return replace(loaded.layout, body_shapes=layout.body_shapes) == layout
+
+
 def _found(path: str | None, layout: Layout, sources: Mapping[str, str] | None, later: bytes | None) -> Loaded:
     if path is not None and Path(path).is_file():
         with suppress(ModelError):
             loaded = load_file(Path(path))
-            if loaded.layout == layout:
-                return loaded
+            if _is_of(loaded, layout):
+                return replace(loaded, layout=layout)
     with suppress(ModelError):
         found = load_known(layout.name, layout.fingerprint)
-        if found is not None and found.layout == layout:
-            return found
+        if found is not None and _is_of(found, layout):
+            return replace(found, layout=layout)
     if sources is None:
         raise ModelError(
             f"The model {layout.name} that was sent is not found here, or only a different one of its name, and its "

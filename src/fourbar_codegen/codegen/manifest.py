@@ -98,6 +98,7 @@ def layout_of(
             state_jumps=_state_jumps(model, equations, names),
         ),
         drawing=_drawing(model, equations),
+        body_shapes={},  # of those that want them; see `with_shapes`
         potential_energy=PotentialEnergy(is_known=not energies[1].is_nan, without=equations.energy.without),
         initial=model.initial,
         warnings=equations.warnings,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from fourbar_codegen.dynamics.equations import DrawnBodies, Variables, of_known, vector
 from fourbar_codegen.dynamics.kane import Kane
 from fourbar_codegen.dynamics.kinematics import INERTIAL, Components, Rotation, multiply
@@ -10,13 +12,15 @@ from fourbar_codegen.expressions.tape import Result, Scalar
 __all__ = ["form_bodies"]
 
 
-def form_bodies(kane: Kane, variables: Variables) -> DrawnBodies:
+def form_bodies(kane: Kane, variables: Variables, frames: Sequence[str] = ()) -> DrawnBodies:
     """Orientations, masses and central inertias of the bodies with a frame.
 
     Parameters
     ----------
     kane : Kane
     variables : Variables
+    frames : sequence of str
+        Names of further frames whose orientations are wanted; they have no mass.
 
     Returns
     -------
@@ -37,6 +41,12 @@ def form_bodies(kane: Kane, variables: Variables) -> DrawnBodies:
             turn = kinematics.rotation(inertia.frame, body.frame)
             turned = _columns([multiply(turn, row) for row in inertia.matrix])
             inertias.append(_row_by_row(_columns([multiply(turn, row) for row in turned])))
+    for number, frame in enumerate(kane.mechanism.frames):
+        if frame.name in frames and frame.name not in names and kinematics.is_oriented(number):
+            names.append(frame.name)
+            masses.append(kinematics.tape.zero)
+            rotations.append(_row_by_row(kinematics.rotation(number, INERTIAL)))
+            inertias.append([kinematics.tape.zero] * 9)
     return DrawnBodies(
         tuple(names),
         _rows("orientations", variables, rotations),

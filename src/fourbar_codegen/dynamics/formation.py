@@ -140,7 +140,7 @@ def form_equations(model: Model) -> Equations:
         energy=energy,
         quantities={Role.MOMENTA: form_momenta(kane.kane, drawing.picture, variables)},
         drawing=drawing,
-        bodies=form_bodies(kane.kane, variables),
+        bodies=form_bodies(kane.kane, variables, model.drawn_frames),
         warnings=warnings,
         jumps=(),
         conditions=vector("conditions", ()),

@@ -75,6 +75,7 @@ class Kernel(Functions):
         self.prescribed: tuple[str, ...] = layout.prescribed
         self.outputs: tuple[str, ...] = layout.outputs
         self.points: tuple[str, ...] = tuple(entry.name for entry in layout.drawing.points if entry.name)
+        self.body_shapes = layout.body_shapes  # as data: their classes are imported for pictures alone
         self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in layout.drawing.forced_points)
         self.defaults: Mapping[str, float | None] = MappingProxyType({e.name: e.default for e in layout.parameters})
         self.units: Mapping[str, str] = MappingProxyType({e.name: e.unit for e in layout.parameters})

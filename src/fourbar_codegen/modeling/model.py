@@ -20,6 +20,7 @@ from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_
 from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.system_reader import read_mechanism
+from fourbar_codegen.shapes import BodyShape, named_shapes
 
 if TYPE_CHECKING:
     from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, Vector
@@ -232,6 +233,10 @@ class Model:
     lines : sequence of sequence of Point or str, optional
         Lines to draw between points beside the links that are found (see `fourbar_codegen.Trajectory.animate`), such as
         ``[("B1", "K")]``; points that stand here are drawn like those in `points`.
+    shapes : mapping of body, ReferenceFrame or str to shape or sequence of shapes, optional
+        What bodies look like in pictures in space: `Sphere`, `Box`, `Cylinder`, `Wheel`, `Mesh` and others. Wheels,
+        limbs and other bodies have shapes by themselves; these replace them, and an empty list hides a body. Sizes
+        may be parameters. They compile nothing.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not contain. A symbol or function of the same name
         with different assumptions, such as ``positive=True``, is always an error.
@@ -273,6 +278,7 @@ class Model:
         state_equations: Mapping[sm.Expr, sm.Expr] | None = None,
         points: Sequence[Point] = (),
         lines: Sequence[Sequence[Point | str]] = (),
+        shapes: Mapping[Any, BodyShape | Sequence[BodyShape]] | None = None,
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         _check_model_name(name)
@@ -309,6 +315,7 @@ class Model:
         self._check_auxiliary_states()
         states = {_name(function): function for function in self._states()}
         self.initial = self._check_initial(_by_symbol(_mapping(initial, "initial"), states))
+        self.shapes = self._read_shapes(_mapping(shapes, "shapes"))
         if self.mechanism.states_velocity_constraints:
             self._check_velocity_constraints()
 
@@ -363,6 +370,23 @@ class Model:
             {e.name: None if e.expression is None else str(e.expression) for e in self.input_entries},
             self.outputs,
         )
+
+    def _read_shapes(self, shapes: Mapping[Any, Any]) -> dict[str, tuple[BodyShape, ...]]:
+        """Shapes by names of bodies, or of frames that are not those of a body."""
+        bodies, frames = self.mechanism.bodies, self.mechanism.frames
+        of_frame = {frames[body.frame].name: body.name for body in reversed(bodies) if body.frame is not None}
+        names = dict.fromkeys([*(body.name for body in bodies), *(frame.name for frame in frames)])
+        found = named_shapes(shapes, names)
+        return {of_frame.get(name, name) if name not in self._bodies() else name: found[name] for name in found}
+
+    def _bodies(self) -> tuple[str, ...]:
+        return tuple(body.name for body in self.mechanism.bodies)
+
+    @property
+    def drawn_frames(self) -> tuple[str, ...]:
+        """Names of the frames, neither those of bodies nor the inertial one, that have shapes."""
+        fixed = self.mechanism.frames[0].name
+        return tuple(sorted(name for name in self.shapes if name not in self._bodies() and name != fixed))
 
     def _read_state_equations(self, equations: Mapping[sm.Expr, sm.Expr]) -> dict[sm.Expr, sm.Expr]:
         states = {*self.mechanism.coordinates, *self.mechanism.speeds, *self.mechanism.auxiliary_speeds}

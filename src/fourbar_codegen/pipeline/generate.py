@@ -13,6 +13,7 @@ from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.pipeline.check import warn
+from fourbar_codegen.shapes import data_of
 
 if TYPE_CHECKING:
     from fourbar_codegen.dynamics.derivatives import Derivatives
@@ -152,7 +153,7 @@ def generate_all(model: Model, progress: Progress) -> tuple[Equations, Derivativ
     varied = _generate_products(*pickle.loads(pickle.dumps((equations, program))))
     derivatives, scheduled = generate_derivatives(equations, program)
     functions = (*program.functions, *(f.function for f in (*scheduled, *varied)))
-    layout = replace(generated.layout, operations=operations_of(functions))
+    layout = replace(generated.layout, operations=operations_of(functions), body_shapes=data_of(model.shapes))
     return (
         equations,
         derivatives,
@@ -181,6 +182,7 @@ def described(model: Model) -> tuple[object, ...]:
         model.potential_energy,
         model.output_expressions,
         model.state_equations,
+        *((model.drawn_frames,) if model.drawn_frames else ()),
     )
 
 

@@ -17,6 +17,7 @@ from fourbar_codegen.interface.arguments import name_of, positive
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.views.frames import equal_times, frames_of
+from fourbar_codegen.views.model_shapes import ShapesLike
 from fourbar_codegen.views.panels import Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
 
@@ -533,7 +534,12 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
 
 
 def animate(
-    trajectory: Trajectory, *, fps: float = FPS, speed: float = 1.0, traces: Sequence[str] | None = None
+    trajectory: Trajectory,
+    *,
+    fps: float = FPS,
+    speed: float = 1.0,
+    traces: Sequence[str] | None = None,
+    shapes: ShapesLike | None = None,
 ) -> FuncAnimation:
     """Animate the mechanism with Matplotlib; needs the extra ``visual``.
 
@@ -547,7 +553,10 @@ def animate(
     speed : float, optional
         Simulated seconds per second of the animation.
     traces : sequence of str, optional
-        Names of points with a trace; by default the moving joints, or the mass centres if there are none.
+        Names of points with a trace; by default the moving joints, or the mass centres if there are none; in space
+        contact points, or the ends of open chains.
+    shapes : mapping of body, frame or str to shape or sequence of shapes, optional
+        What bodies look like in space, instead of `CompiledModel.shapes`.
 
     Returns
     -------
@@ -575,7 +584,7 @@ def animate(
     n = abs(np.ptp(trajectory.t)) * fps / speed if len(trajectory.t) else 0.0
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
-    drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed))
+    drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed), shapes)
     dimensions = len(drawn.scene.view.axes)
     every = drawn.scene.positions[[*drawn.scene.shown, *chain(*drawn.arrows.items())], :dimensions]
     low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.results.trajectory import Trajectory
+from fourbar_codegen.views.model_shapes import ShapesLike, given_shapes
 from fourbar_codegen.views.scene import Scene, scene
 
 __all__ = ["ARROW", "Frames", "equal_times", "frames_of"]
@@ -43,7 +44,9 @@ def equal_times(start: float, end: float, rate: float) -> Floats:
     return np.linspace(start, end, 1 + max(1, round(abs(end - start) * rate)) if start != end else 1)
 
 
-def frames_of(trajectory: Trajectory, times: Callable[[float, float], Floats]) -> Frames:
+def frames_of(
+    trajectory: Trajectory, times: Callable[[float, float], Floats], shapes: ShapesLike | None = None
+) -> Frames:
     """A run at the times of its frames.
 
     Parameters
@@ -51,6 +54,8 @@ def frames_of(trajectory: Trajectory, times: Callable[[float, float], Floats]) -
     trajectory : Trajectory
     times : callable
         Function of the first and last time of the run; returns the times to show.
+    shapes : mapping, optional
+        What bodies look like, as for `Model`, instead of the model's shapes.
 
     Returns
     -------
@@ -68,7 +73,7 @@ def frames_of(trajectory: Trajectory, times: Callable[[float, float], Floats]) -
     positions, _ = model.drawing_along(shown.t, shown.y, shown.r, shown.parameters)
     values = np.array([*model.defaults.values()] if shown.parameters is None else shown.parameters, dtype=float)
     rotations = model.orientations_along(shown.t, shown.y, shown.r, shown.parameters)
-    found = scene(model, positions, rotations=rotations, p=values)
+    found = scene(model, positions, rotations=rotations, p=values, given=given_shapes(model, shapes))
     # Forces that are not finite have no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)

@@ -12,6 +12,7 @@ from fourbar_codegen.interface.notebook import Page, table
 from fourbar_codegen.results.provenance import attributes
 from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.html_page import frame_times, html_text, packed, quaternions, scene_data
+from fourbar_codegen.views.model_shapes import ShapesLike
 from fourbar_codegen.views.panels import panels
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ __all__ = ["SCRIPTS", "report", "report_text", "table_of_run"]
 SCRIPTS = ("views/svg_pictures.js", "views/solid_pictures.js", "views/report.js")
 
 
-def report(trajectory: Trajectory, *, height: int = 900) -> Page:
+def report(trajectory: Trajectory, *, height: int = 900, shapes: ShapesLike | None = None) -> Page:
     """The interactive report in a notebook: the moving mechanism, traces, plots and a table of the run.
 
     The same page as ``save("run.html")``; it needs no network, no extra and no running kernel.
@@ -31,6 +32,8 @@ def report(trajectory: Trajectory, *, height: int = 900) -> Page:
     ----------
     height : int, optional
         Height in the notebook, pixels.
+    shapes : mapping of body, frame or str to shape or sequence of shapes, optional
+        What bodies look like in space, instead of `CompiledModel.shapes`.
 
     Returns
     -------
@@ -51,7 +54,7 @@ def report(trajectory: Trajectory, *, height: int = 900) -> Page:
     """
     if not is_integer(height) or height < 1:
         raise ModelError(f"height must be a positive number of pixels, not {shown(height)}.")
-    return Page(f"Report of {trajectory.kernel.name}", report_text(trajectory), int(height))
+    return Page(f"Report of {trajectory.kernel.name}", report_text(trajectory, shapes), int(height))
 
 
 def table_of_run(trajectory: Trajectory) -> str:
@@ -59,13 +62,15 @@ def table_of_run(trajectory: Trajectory) -> str:
     return table("Trajectory", (), _rows(trajectory))
 
 
-def report_text(trajectory: Trajectory) -> str:
+def report_text(trajectory: Trajectory, shapes: ShapesLike | None = None) -> str:
     """The report as HTML: the moving mechanism, traces, plots that follow the time, and a table of the run.
 
     Parameters
     ----------
     trajectory : Trajectory
         Shown at equally spaced times; see `Trajectory.resample`.
+    shapes : mapping, optional
+        As for `report`.
 
     Returns
     -------
@@ -76,7 +81,7 @@ def report_text(trajectory: Trajectory) -> str:
     ModelError
         If there is nothing to show: no points with known positions, or no states.
     """
-    drawn = frames_of(trajectory, frame_times)
+    drawn = frames_of(trajectory, frame_times, shapes)
     data = {
         "times": packed(drawn.shown.t, "<f8"),
         # Relative to the size of the mechanism, because of the range of single precision.

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import importlib
 import warnings
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations, pairwise
 
@@ -18,6 +18,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Point, Shape
+from fourbar_codegen.shapes import BodyShape
 from fourbar_codegen.views.found_shapes import contacts, found_shapes
 from fourbar_codegen.views.solids import Solid, solids_of
 
@@ -193,10 +194,12 @@ class Scene:
     view : View
     unit : float
         Size of the symbols, m.
+    shapes : dict of str to tuple of BodyShape
+        Of bodies and links in space, by their names.
     solids : tuple of Solid
-        Bodies as shapes, in space.
-    rotations : ndarray, shape (n_bodies, 3, 3, n_t)
-        Those of the solids, which take components to the coordinates of the view.
+        These as triangles.
+    rotations : ndarray, shape (n_bodies + 1, 3, 3, n_t)
+        Of the drawn bodies and of the inertial frame; they take components to the coordinates of the view.
     contacts : tuple of int
         Rows of the points where wheels touch the ground.
     tips : tuple of int
@@ -211,6 +214,7 @@ class Scene:
     size: float
     view: View
     unit: float
+    shapes: Mapping[str, tuple[BodyShape, ...]] = field(default_factory=dict)
     solids: tuple[Solid, ...] = ()
     rotations: Floats = field(default_factory=lambda: np.zeros((0, 3, 3, 0)))
     contacts: tuple[int, ...] = ()
@@ -274,6 +278,7 @@ def scene(
     *,
     rotations: Floats | None = None,
     p: Floats | None = None,
+    given: Mapping[str, tuple[BodyShape, ...]] | None = None,
 ) -> Scene:
     """What pictures of a model show at several instants.
 
@@ -288,6 +293,8 @@ def scene(
         Of the model's drawn bodies. Without them, there are lines in space instead of bodies.
     p : ndarray, shape (n_p,), optional
         The parameters' values, with rotations.
+    given : mapping of str to tuple of BodyShape, optional
+        Shapes that replace those that are found.
 
     Returns
     -------
@@ -310,7 +317,7 @@ def scene(
         )
     named = positions[: len(model.points)]
     on_ground = () if rotations is None or p is None else contacts(model, p)
-    view = view_of(model, named, in_space=bool(on_ground)) if view is None else view
+    view = view_of(model, named, in_space=bool(on_ground or given)) if view is None else view
     size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
     links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]
@@ -360,11 +367,13 @@ def scene(
         for line in _outline(positions, _with_center(positions, shape, entries), size, shape.name)
         for a, b in pairwise((*line.rows, *line.rows[: line.is_closed and len(line.rows) > 2]))
     ]
-    shapes = found_shapes(model, p, longest, on_ground, edges)
+    shapes = {**found_shapes(model, p, longest, on_ground, edges), **(given or {})}
+    fixed = np.repeat(np.eye(3)[np.newaxis, :, :, np.newaxis], positions.shape[2], axis=3)  # to the ground
     return replace(
         found,
+        shapes=shapes,
         solids=tuple(solids_of(model, shapes, p, positions)),
-        rotations=np.einsum("ij,bjkt->bikt", view.turn, rotations),
+        rotations=np.einsum("ij,bjkt->bikt", view.turn, np.concatenate((rotations, fixed))),
         contacts=tuple(contact.point for contact in on_ground),
         tips=tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1),
     )

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fourbar_codegen import shapes
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.layout import ShapeKind
 from fourbar_codegen.shapes import BodyShape, Line
 from fourbar_codegen.views import meshes
 from fourbar_codegen.views.meshes import Mesh
@@ -103,6 +104,8 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
     drawing, values = model.layout.drawing, dict(zip(model.parameters, p.tolist(), strict=True))
     rows = {point.name: row for row, point in reversed([*enumerate(drawing.points)]) if point.name}
     centers = {point.body: row for row, point in enumerate(drawing.points) if point.body}
+    ground = next((shape.name for shape in drawing.shapes if shape.kind == ShapeKind.GROUND), "")
+    centers.setdefault(ground, 0)  # the fixed point comes first
 
     def size(value: float | str) -> float:
         if isinstance(value, str) and value not in values:
@@ -127,6 +130,8 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                     yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to)
                 continue
             turn = drawing.bodies.index(name) if name in drawing.bodies else None
+            if name == ground:  # the last rotation of a scene
+                turn = len(drawing.bodies)
             if isinstance(shape.at, str):
                 row, offset = row_of(shape.at), np.zeros(3)
             elif name in centers:

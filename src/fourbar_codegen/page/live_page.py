@@ -45,6 +45,7 @@ from fourbar_codegen.views.html_page import (
     html_text,
     scene_data,
 )
+from fourbar_codegen.views.model_shapes import given_shapes
 from fourbar_codegen.views.panels import ENERGY, panel_names, vector_title
 from fourbar_codegen.views.scene import Scene, known_points, scene
 
@@ -60,6 +61,7 @@ TOLERANCE = 1e-11
 
 SCRIPTS = (
     "views/svg_pictures.js",
+    "views/solid_pictures.js",
     "page/engine.js",
     "page/settings.js",
     "page/page.js",
@@ -263,6 +265,7 @@ def _text(
         "events": [_event(name, row, names, energies) for name, row in events],
         "turn": found.view.turn.tolist(),
         "points": len(model.layout.drawing.points),
+        "bodies": len(model.layout.drawing.bodies),
         "guides": guides,
         "forces": forces,
         "rows": n_rows,
@@ -284,9 +287,13 @@ def _scene(run: Trajectory) -> Scene:
     model, start, end = run.kernel, run.t[0], run.t[-1]
     frames = run.resample(frame_times(start, end))
     positions, _ = model.drawing_along(frames.t, frames.y, frames.r, frames.parameters)
+    turns = model.orientations_along(frames.t, frames.y, frames.r, frames.parameters)
     size = scene(model, positions).size
-    every = [positions, *_neighbours(run, size)]
-    return scene(model, np.concatenate(every, axis=2))
+    every = np.concatenate([positions, *_neighbours(run, size)], axis=2)
+    # Orientations count only in so far as there are bodies: the page has its own.
+    turns = np.concatenate([turns, np.repeat(turns[..., :1], every.shape[2] - turns.shape[3], axis=3)], axis=3)
+    p = np.array(_parameters(run))
+    return scene(model, every, rotations=turns, p=p, given=given_shapes(model))
 
 
 def _neighbours(run: Trajectory, size: float) -> list[Floats]:

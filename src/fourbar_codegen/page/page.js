@@ -127,6 +127,19 @@ const positionsOf = run => {
   return found;
 };
 let arrowScale = 0;
+
+// Quaternions of the bodies, and of the inertial frame, in the coordinates of the view.
+const quaternionsOf = run => {
+  const m = data.bodies + 1, found = new Float64Array(4 * run.n * m);
+  const start = data.columns.length + 3 * (data.points + data.forces.length);
+  for (let i = 0; i < run.n; ++i) for (let k = 0; k < m; ++k) {
+    const at = i * run.length + start + 9 * k;
+    const given = k < data.bodies ? run.rows.subarray(at, at + 9) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
+    const columns = [0, 1, 2].map(j => turned([given[j], given[3 + j], given[6 + j]]));
+    found.set(quaternionOf(columns), 4 * (i * m + k));
+  }
+  return found;
+};
 // The ends of a guide that is as long as the way of the point that slides on it, and a margin.
 const placeGuide = (found, n, m, [sliding, base, tip], at) => {
   const point = (i, k) => found.subarray(3 * (i * m + k), 3 * (i * m + k) + 3);
@@ -147,7 +160,7 @@ const placeGuide = (found, n, m, [sliding, base, tip], at) => {
 // Picture and plots.
 
 if (data.scene.planar) byId("turn").remove();
-const picture = mechanismPicture(byId("mechanism"), data.scene);
+const picture = pictureOf(byId("mechanism"), data.scene);
 const boxes = traceBoxes(byId("traces"), data.scene.points, picture, () => writeLink());
 const controls = player(i => {
   picture.draw(i);
@@ -187,8 +200,8 @@ addEventListener("resize", () => {
 
 const show = run => {
   const isFirst = shownRun === null;
-  shownRun = {...run, positions: positionsOf(run)};
-  picture.set(shownRun.positions, data.rows, before && before.positions);
+  shownRun = {...run, positions: positionsOf(run), turns: data.scene.solids.length ? quaternionsOf(run) : []};
+  picture.set(shownRun.positions, data.rows, before && before.positions, shownRun.turns, run.settings.parameters);
   if (isFirst) followBox(byId("follow"), picture);
   else if (settled) picture.fit();
   picture.drawTraces();

@@ -80,7 +80,7 @@ def page_source(name: str, layout: Layout) -> str:
 enum {{ N_VELOCITY_ROWS = {len(rows)} }};
 static const int velocity_rows[] = {{{", ".join(map(str, rows or [0]))}}}; /* of constraints that keep no position */
 
-enum {{ N_VECTORS = {len(VECTORS)} }};
+enum {{ N_VECTORS = {len(VECTORS)}, N_BODIES = {len(layout.drawing.bodies)} }};
 /* The vectors of a state, three numbers each. */
 static void fill_vectors(double t, const double *x, const double *constants, const double *r, double *values)
 {{

@@ -33,6 +33,9 @@ MOST = 2.2
 DENSITY = 1000.0
 """Of limbs, kg/m^3."""
 
+LONGER = 1.1
+"""Ratio by which a parameter is changed to see whether it is a radius."""
+
 THIN = 0.03
 """Least thickness of boxes and discs, relative to their size."""
 
@@ -208,11 +211,11 @@ def found_shapes(
         others = [(b, c) for b, c in enumerate(states.centers) if c is not None and b != contact.body]
         is_held = any(states.fixed(body, center)[contact.center] for body, center in others)
         if contact.tube_radius:
-            found[name] = (Torus(contact.radius, contact.tube_radius, at=at, axis=axis),)
+            found[name] = (Torus(_named(model, p, contact), contact.tube_radius, at=at, axis=axis),)
             if is_held:
-                found[name] += (Wheel(contact.radius, at=at, axis=axis),)
+                found[name] += (Wheel(_named(model, p, contact), at=at, axis=axis),)
         else:
-            radius, thickness = contact.radius, THIN * contact.radius
+            radius, thickness = _named(model, p, contact), THIN * contact.radius
             found[name] = (Wheel(radius, at=at, axis=axis) if is_held else Disc(radius, thickness, at=at, axis=axis),)
     touching = {drawing.points[contact.point].name for contact in on_ground}
     wheels, counts = {*found}, Counter(name for name, *_ in edges)
@@ -224,6 +227,7 @@ def found_shapes(
             if counts[name] == 1:  # a limb of a mass has about the density of water
                 limb = np.sqrt(mass_of.get(name, 0.0) / (DENSITY * np.pi * length))
                 radius = float(np.clip(limb, radius, MOST * radius))
+            radius = float(f"{radius:.3g}")
             found[name] = (*found.get(name, ()), Line(points=tuple(ends), radius=radius))
     linked = {body for name in found for body in name.split(" and ")}
     for name, center, mass, inertia in zip(drawing.bodies, states.centers, masses, inertias, strict=True):
@@ -234,6 +238,18 @@ def found_shapes(
         if point.body is not None and point.body not in drawing.bodies:
             found.setdefault(point.body, (Sphere(BALL * size, at=point.name),))
     return found
+
+
+def _named(model: Kernel, p: Floats, contact: Contact) -> float | str:
+    """A wheel's radius: the parameter that it is, if it changes as that does, or its value."""
+    for place, name in enumerate(model.parameters):
+        if abs(p[place] - contact.radius) <= RTOL * contact.radius:
+            other = p.copy()
+            other[place] *= LONGER
+            radii = [c.radius for c in contacts(model, other) if c.body == contact.body]
+            if radii and abs(radii[0] - other[place]) <= RTOL * radii[0]:
+                return name
+    return float(f"{contact.radius:.12g}")
 
 
 def _box(mass: float, inertia: Floats) -> Box:

@@ -88,6 +88,9 @@ def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
                 "offset": (solid.offset * scale).tolist(),
                 "rotation": solid.rotation.ravel().tolist(),
                 "to": solid.to,
+                "length": solid.length * scale,
+                "parameter": solid.parameter,
+                "value": solid.value,
             }
         )
     return {"meshes": [json.loads(mesh) for mesh in meshes], "solids": entries}

@@ -96,6 +96,15 @@ const turnOf = ([x, y, z, w]) => [
   1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w),
   2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w),
   2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)];
+// The quaternion of a rotation matrix of three columns. Source: S. W. Shepperd, "Quaternion from rotation matrix",
+// Journal of Guidance and Control 1 (1978): the largest component is found first.
+const quaternionOf = ([a, b, c]) => {
+  const squares = [a[0] - b[1] - c[2], b[1] - a[0] - c[2], c[2] - a[0] - b[1], a[0] + b[1] + c[2]];
+  const largest = squares.indexOf(Math.max(...squares)), r = Math.sqrt(1 + squares[largest]) / 2, f = 0.25 / r;
+  const [x, y, z] = [b[2] - c[1], c[0] - a[2], a[1] - b[0]], [xy, xz, yz] = [a[1] + b[0], c[0] + a[2], b[2] + c[1]];
+  return [[r, f * xy, f * xz, f * x], [f * xy, r, f * yz, f * y], [f * xz, f * yz, r, f * z],
+    [f * x, f * y, f * z, r]][largest] ?? [NaN, NaN, NaN, NaN];
+};
 const transposed = m => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
 const farthest = z => Math.abs(z[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
 
@@ -121,7 +130,7 @@ const solidPicture = (canvas, scene) => {
   const TURNS = {front: [0, -Math.PI / 2], side: [-Math.PI / 2, -Math.PI / 2], top: [0, 0], home: HOME};
   let [turn, tilt] = HOME, zoom = 1, pan = [0, 0];
   let positions = new Float32Array(0), rotations = new Float32Array(0), n = 0, m = 0, bodies = 0, shown = 0;
-  let before = null, moving = [], follows = false, low = [0, 0, 0], high = [0, 0, 0], span = 1, radius = 1;
+  let sizes = {}, before = null, moving = [], follows = false, low = [0, 0, 0], high = [0, 0, 0], span = 1, radius = 1;
   const drawn = [...new Set([...scene.shown, ...scene.solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
   const solid = programOf(gl, SHADERS.solid), line = programOf(gl, SHADERS.line);
@@ -281,17 +290,19 @@ const solidPicture = (canvas, scene) => {
     }
     common(solid);
     gl.uniform1f(solid.alpha, 1);
-    for (const {mesh, row, turn: body, offset, rotation, to, tone} of solids) {
+    for (const {mesh, row, turn: body, offset, rotation, to, tone, length, parameter, value} of solids) {
       let place = at(shown, row), matrix = rotation;
       if (to !== null) {
         const end = at(shown, to), z = unitOf(minus(end, place)), x = unitOf(crossed(farthest(z), z));
-        matrix = [...x, ...crossed(z, x), ...z];
+        const longer = Math.hypot(...minus(end, place)) / length;
+        matrix = [...x, ...crossed(z, x), ...z.map(value => longer * value)];
         place = place.map((value, j) => (value + end[j]) / 2);
       } else if (body !== null) {
         const start = 4 * (shown * bodies + body), own = turnOf(rotations.subarray(start, start + 4));
         matrix = product3(own, rotation);
         place = place.map((value, j) => value + times3(own, offset)[j]);
       }
+      if (parameter in sizes) matrix = matrix.map(entry => entry * sizes[parameter] / value);
       if (!isKnown(place) || !Number.isFinite(matrix[0])) continue;
       gl.bindBuffer(gl.ARRAY_BUFFER, meshes[mesh].vertices);
       gl.enableVertexAttribArray(solid.position);
@@ -312,9 +323,10 @@ const solidPicture = (canvas, scene) => {
   const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth, canvas.clientHeight) / span;
 
   const picture = {
-    // The positions of a run and quaternions of the bodies, and the positions of the run before.
-    set(places, rows, ghost = null, turns = rotations) {
+    // The positions of a run and of the run before, quaternions of the bodies, and parameters that are sizes.
+    set(places, rows, ghost = null, turns = rotations, values = {}) {
       positions = places;
+      sizes = values;
       rotations = turns;
       m = rows;
       n = m ? places.length / 3 / m : 0;

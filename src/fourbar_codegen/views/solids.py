@@ -56,6 +56,12 @@ class Solid:
         Takes components along its own axes to the body's.
     to : int or None
         The row of the other end of a rod, whose z axis goes from `row` to it, and whose centre is halfway.
+    length : float
+        Of a rod.
+    parameter : str
+        The name of the parameter that its size is, if there is one.
+    value : float
+        Of this parameter.
     """
 
     name: str
@@ -66,6 +72,9 @@ class Solid:
     offset: Floats
     rotation: Floats
     to: int | None = None
+    length: float = 0.0
+    parameter: str = ""
+    value: float = 0.0
 
     def placed(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
         """Its place, shape (3, n_t), and rotation matrix, (3, 3, n_t), for positions and rotations of a scene."""
@@ -126,8 +135,9 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                 for row, to in itertools.pairwise(ends):
                     lengths = np.linalg.norm(positions[to] - positions[row], axis=0)
                     known = lengths[np.isfinite(lengths)]
-                    mesh = meshes.capsule(size(shape.radius), float(known.mean()) if known.size else 0.0)
-                    yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to)
+                    length = float(known.mean()) if known.size else 0.0
+                    mesh = meshes.capsule(size(shape.radius), length)
+                    yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to, length)
                 continue
             turn = drawing.bodies.index(name) if name in drawing.bodies else None
             if name == ground:  # the last rotation of a scene
@@ -139,8 +149,23 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
             else:
                 continue  # a body whose position is not known
             made = MADE_BY[type(shape)](*(size(getattr(shape, part)) for part in shape.sizes))
-            yield Solid(name, made, color, row, turn, offset, _axes(shape))
+            first = getattr(shape, shape.sizes[0])
+            parameter = first if isinstance(first, str) and isinstance(shape, FOLLOWING) else ""
+            yield Solid(
+                name,
+                made,
+                color,
+                row,
+                turn,
+                offset,
+                _axes(shape),
+                parameter=parameter,
+                value=values.get(parameter, 0.0),
+            )
 
+
+FOLLOWING = (shapes.Sphere, shapes.Wheel, shapes.Disc)
+"""Shapes that are as large as their radius, which may be a parameter that changes in a live page."""
 
 MADE_BY: dict[type[BodyShape], Callable[..., Mesh]] = {
     shapes.Sphere: meshes.sphere,

@@ -20,6 +20,7 @@ from fourbar_codegen.views.frames import equal_times, frames_of
 from fourbar_codegen.views.model_shapes import ShapesLike
 from fourbar_codegen.views.panels import Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
+from fourbar_codegen.views.shaded import CAMERA, draw_solids, ground_lines, limits, seen_obliquely
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -66,6 +67,11 @@ TICKS = 6
 MAX_FRAMES = 10_000
 """Largest number of frames of an animation; each takes some hundredths of a second to draw."""
 
+ENDS = np.array([-1.0, 1.0])
+
+FAR = 4.0
+"""Way of a mechanism in space, relative to its size, from which on an animation follows it."""
+
 EDGE = 0.08
 """Margin around an animation, relative to the size of the mechanism."""
 
@@ -83,6 +89,9 @@ TRACE_RATE = 500.0
 
 SMOOTH = 401
 """Number of states with which a curve looks smooth."""
+
+IN_SPACE = ("spring", "damper")
+"""Symbols beside bodies with shapes."""
 
 STYLES: dict[str, dict[str, Any]] = {
     "link": {"color": "0.25", "linewidth": 3.0, "solid_capstyle": "round", "solid_joinstyle": "round", "zorder": 2},
@@ -369,8 +378,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         + (f"\n{_label(modes.freedom)}" if modes.free else ""),
         wrap=True,
     )
-    shown = drawn.positions[drawn.shown]
-    low, high = shown.min(axis=(0, 2)), shown.max(axis=(0, 2))
+    low, high = (end(ends, axis=1) for end, ends in zip((np.nanmin, np.nanmax), limits(drawn), strict=True))
     n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
         _draw(axes, drawn)(number)
@@ -514,9 +522,12 @@ def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
 def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> Callable[[int], None]:
     """Draw the mechanism at the first instant, and return a function that shows it at another."""
     dimensions = len(drawn.view.axes)
-    styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in drawn.lines]
+    shown_lines = [line for line in drawn.lines if not (drawn.solids and line.kind == "link")]
+    styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in shown_lines]
     styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
     for symbol in drawn.symbols:
+        if drawn.solids and symbol.kind not in IN_SPACE:
+            continue
         styled.append((symbol.kind, drawn.outline(symbol) if symbol.outline else drawn.positions[symbol.at][:, None]))
     styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
     lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
@@ -524,7 +535,11 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
     corners = [drawn.positions[list(area.rows), :2] for area in areas]
     filled = [axes.fill(*points[:, :, 0].T, color="0.25", alpha=0.2)[0] for points in corners]
 
+    show_solids = draw_solids(axes, drawn) if drawn.solids else None
+
     def show(instant: int) -> None:
+        if show_solids is not None:
+            show_solids(instant)
         for line, (_, points) in zip(lines, styled, strict=True):
             (line.set_data if dimensions == 2 else line.set_data_3d)(*points[:dimensions, :, instant])
         for area, points in zip(filled, corners, strict=True):
@@ -585,41 +600,50 @@ def animate(
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed), shapes)
-    dimensions = len(drawn.scene.view.axes)
-    every = drawn.scene.positions[[*drawn.scene.shown, *chain(*drawn.arrows.items())], :dimensions]
-    low, high = every.min(axis=(0, 2)), every.max(axis=(0, 2))
-    middle, half = (low + high) / 2, (high - low) / 2 + EDGE * drawn.scene.size
-    if drawn.scene.is_planar:  # height of the figure as needed
-        figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))
-        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    else:
-        half[:] = half.max()
-        figure = figures.Figure(figsize=(6.0, 6.0))
-        axes = figure.add_subplot(projection="3d")
-        axes.set_proj_type("ortho")
-        axes.set_box_aspect((1.0, 1.0, 1.0), zoom=1.6)
-    for name, begin, end in zip("xyz"[:dimensions], middle - half, middle + half, strict=True):
-        getattr(axes, f"set_{name}lim")(begin, end)
-    axes.set_aspect("equal")
+    grid, seen = ground_lines(drawn.scene), drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
+    middle, half = _window(seen, [*chain(*drawn.arrows.items())], follows=not drawn.scene.is_planar)
+    figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))  # as high as needed
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set_aspect("equal", adjustable="datalim")
     axes.set_axis_off()
+    for ends in grid @ CAMERA.T:
+        axes.plot(*ends.T[:2], color="0.85", linewidth=0.8, zorder=0)
     traced = drawn.scene.traced().values() if chosen is None else chosen
     if traced:
         start, end = trajectory.t[0], trajectory.t[-1]
         rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
         finer = trajectory.resample(equal_times(start, end, rate)).points
         for name in traced:
-            axes.plot(*drawn.scene.view(finer[name])[:dimensions], color="tab:red", linewidth=1.0, zorder=1)
-    move = _draw(axes, drawn.scene, drawn.arrows)
+            axes.plot(*seen.view(finer[name])[:2], color="tab:red", linewidth=1.0, zorder=1)
+    move = _draw(axes, seen, drawn.arrows)
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
     def show(frame: int) -> None:
         move(frame)
+        axes.set_xlim(*(middle[0, frame] + half[0] * ENDS))
+        axes.set_ylim(*(middle[1, frame] + half[1] * ENDS))
         time.set_text(f"t = {drawn.shown.t[frame]:.2f} s")
 
+    show(0)
     animation: FuncAnimation = animations.FuncAnimation(
-        figure, show, frames=every.shape[2], interval=1000.0 / fps, blit=False
+        figure, show, frames=len(drawn.shown.t), interval=1000.0 / fps, blit=False
     )
     return animation
+
+
+def _window(seen: Scene, tips: Sequence[int], *, follows: bool) -> tuple[Floats, Floats]:
+    """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); it follows what goes far, if it may."""
+    low, high = limits(seen, [row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
+    ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
+    size, largest = (ends[1] - ends[0])[:2], np.nanmax(high - low, axis=1)[:2]
+    if follows and size.max() > FAR * largest.max():
+        middle, size = (low + high)[:2] / 2.0, largest
+    else:
+        low, high = limits(seen, [*seen.shown, *tips])
+        ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
+        size = (ends[1] - ends[0])[:2]
+        middle = np.repeat((ends[0] + ends[1])[:2, np.newaxis] / 2.0, seen.positions.shape[2], axis=1)
+    return middle, size / 2.0 + EDGE * (size.max() if follows else seen.size)
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:

@@ -76,6 +76,11 @@ class Solid:
     parameter: str = ""
     value: float = 0.0
 
+    @property
+    def reach(self) -> float:
+        """How far it goes from its place; nothing for a rod, whose ends are points of the mechanism."""
+        return 0.0 if self.to is not None else float(np.linalg.norm(self.mesh.vertices, axis=1).max(initial=0.0))
+
     def placed(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
         """Its place, shape (3, n_t), and rotation matrix, (3, 3, n_t), for positions and rotations of a scene."""
         at = positions[self.row]

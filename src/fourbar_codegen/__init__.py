@@ -183,6 +183,7 @@ _METHODS = {
     "CompiledModel._set_shapes": "views.model_shapes:set_shapes",
     "Trajectory.save": "files.save:save_trajectory",
     "Trajectory.plot": "views.figures:plot_trajectory",
+    "Trajectory.plot_frames": "views.figures:plot_frames",
     "Trajectory.plot_paths": "views.figures:plot_paths",
     "Trajectory.animate": "views.figures:animate",
     "Trajectory.report": "views.report:report",

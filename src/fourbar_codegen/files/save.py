@@ -74,9 +74,10 @@ def save_trajectory(trajectory: Trajectory, path: str | Path) -> Path:
         The suffix selects the format: ``.csv`` (a row for each time, all digits: `columns`, and positions of
         points, with the units of energies, momenta and positions in brackets), ``.npz`` (NumPy, an array for
         each name), ``.nc`` (NetCDF of `to_xarray`; needs the extra ``data``), ``.html`` (interactive report),
-        ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); the last three need the extra ``visual``, ``.mp4`` also
-        FFmpeg. Missing folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an
-        existing file is not changed.
+        ``.png`` (plot), ``.gif`` or ``.mp4`` (animation); these three need the extra ``visual``, ``.mp4`` also
+        FFmpeg; ``.glb`` or ``.gltf`` (bodies with an animation, for Blender and slides; needs ``meshes``). Missing
+        folders are created. `load_trajectory` reads ``.npz`` and ``.nc``. If writing fails, an existing file is not
+        changed.
 
     Returns
     -------

@@ -37,6 +37,7 @@ __all__ = [
     "plot_branches",
     "plot_ensemble",
     "plot_fit",
+    "plot_frames",
     "plot_kinematics",
     "plot_modes",
     "plot_paths",
@@ -531,7 +532,7 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
         styled.append((symbol.kind, drawn.outline(symbol) if symbol.outline else drawn.positions[symbol.at][:, None]))
     styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
     lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
-    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar]
+    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar and not drawn.solids]
     corners = [drawn.positions[list(area.rows), :2] for area in areas]
     filled = [axes.fill(*points[:, :, 0].T, color="0.25", alpha=0.2)[0] for points in corners]
 
@@ -546,6 +547,58 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
             area.set_xy(points[:, :, instant])
 
     return show
+
+
+def plot_frames(
+    trajectory: Trajectory, times: Sequence[float] | None = None, *, shapes: ShapesLike | None = None
+) -> Figure:
+    """Draw the mechanism at some instants, each in axes of its own; needs the extra ``visual``.
+
+    Parameters
+    ----------
+    times : sequence of float, optional
+        At most 24; by default the beginning, the middle and the end of the run.
+    shapes : mapping of body, frame or str to shape or sequence of shapes, optional
+        What bodies look like in space, instead of `CompiledModel.shapes`.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Its ``savefig("frames.svg")`` writes them as SVG, PDF or PNG.
+
+    Raises
+    ------
+    ModelError
+        If a time is not in the run, there is nothing to draw, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> run = fb.load("four_bar").simulate((0.0, 1.0))
+    >>> figure = run.plot_frames([0.0, 0.25, 0.5])  # doctest: +SKIP
+    """
+    first, last = (trajectory.t[0], trajectory.t[-1]) if len(trajectory.t) else (0.0, 0.0)
+    at = np.linspace(first, last, 3) if times is None else np.atleast_1d(np.array(times, dtype=float))
+    if at.ndim != 1 or not 0 < len(at) <= MAX_PANELS:
+        raise ModelError(f"times are 1 to {MAX_PANELS} instants, not {shown(times)}.")
+    outside = at[~((min(first, last) <= at) & (at <= max(first, last)))]
+    if outside.size:
+        raise ModelError(f"times are between {first:g} and {last:g} s, where the run is, not {outside[0]:g}.")
+    drawn = frames_of(trajectory, lambda _, __: at, shapes)
+    grid, seen = ground_lines(drawn.scene), drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
+    middle, half = _window(seen, [*chain(*drawn.arrows.items())], follows=not drawn.scene.is_planar)
+    figure, cells = _figure(len(at), seen.view)
+    for number, axes in enumerate(cells):
+        for ends in grid @ CAMERA.T:
+            axes.plot(*ends.T[:2], color="0.85", linewidth=0.8, zorder=0)
+        _draw(axes, seen, drawn.arrows)(number)
+        axes.set_title(f"t = {at[number]:g} s", fontsize="small")
+        axes.set_xlim(*(middle[0, number] + half[0] * ENDS))
+        axes.set_ylim(*(middle[1, number] + half[1] * ENDS))
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+    figure.suptitle(trajectory.kernel.name)
+    return figure
 
 
 def animate(

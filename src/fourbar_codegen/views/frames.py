@@ -45,7 +45,11 @@ def equal_times(start: float, end: float, rate: float) -> Floats:
 
 
 def frames_of(
-    trajectory: Trajectory, times: Callable[[float, float], Floats], shapes: ShapesLike | None = None
+    trajectory: Trajectory,
+    times: Callable[[float, float], Floats],
+    shapes: ShapesLike | None = None,
+    *,
+    in_space: bool = False,
 ) -> Frames:
     """A run at the times of its frames.
 
@@ -56,6 +60,8 @@ def frames_of(
         Function of the first and last time of the run; returns the times to show.
     shapes : mapping, optional
         What bodies look like, as for `Model`, instead of the model's shapes.
+    in_space : bool, optional
+        Whether planar mechanisms also have bodies with shapes.
 
     Returns
     -------
@@ -73,7 +79,7 @@ def frames_of(
     positions, _ = model.drawing_along(shown.t, shown.y, shown.r, shown.parameters)
     values = np.array([*model.defaults.values()] if shown.parameters is None else shown.parameters, dtype=float)
     rotations = model.orientations_along(shown.t, shown.y, shown.r, shown.parameters)
-    found = scene(model, positions, rotations=rotations, p=values, given=given_shapes(model, shapes))
+    found = scene(model, positions, rotations=rotations, p=values, given=given_shapes(model, shapes), in_space=in_space)
     # Forces that are not finite have no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)

@@ -279,6 +279,7 @@ def scene(
     rotations: Floats | None = None,
     p: Floats | None = None,
     given: Mapping[str, tuple[BodyShape, ...]] | None = None,
+    in_space: bool = False,
 ) -> Scene:
     """What pictures of a model show at several instants.
 
@@ -295,6 +296,8 @@ def scene(
         The parameters' values, with rotations.
     given : mapping of str to tuple of BodyShape, optional
         Shapes that replace those that are found.
+    in_space : bool, optional
+        Whether bodies have shapes even if they move in a plane.
 
     Returns
     -------
@@ -317,7 +320,7 @@ def scene(
         )
     named = positions[: len(model.points)]
     on_ground = () if rotations is None or p is None else contacts(model, p)
-    view = view_of(model, named, in_space=bool(on_ground or given)) if view is None else view
+    view = view_of(model, named, in_space=bool(in_space or on_ground or given)) if view is None else view
     size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
     links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]

@@ -11,9 +11,12 @@ from numpy.typing import NDArray
 
 from fourbar_codegen import shapes
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.interface.extras import imported
+from fourbar_codegen.interface.paths import path_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import ShapeKind
-from fourbar_codegen.shapes import BodyShape, Line
+from fourbar_codegen.shapes import BodyShape, CoordinateFrame, Line
+from fourbar_codegen.shapes import Mesh as FileMesh
 from fourbar_codegen.views import meshes
 from fourbar_codegen.views.meshes import Mesh
 
@@ -23,6 +26,9 @@ Floats = NDArray[np.float64]
 
 PALETTE = ("#4c78a8", "#e0913a", "#5a9e6f", "#c0504d", "#8b6bb1", "#9c755f", "#3d9aa8", "#c9659a", "#8a9a3c", "#7b8794")
 """Of bodies, in order."""
+
+MOST_VERTICES = 65_536
+"""Of a mesh, whose numbers have 16 bits in pages."""
 
 ROUND = "#59626d"
 """Of wheels."""
@@ -153,8 +159,14 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                 row, offset = centers[name], np.array([size(part) for part in shape.at])
             else:
                 continue  # a body whose position is not known
-            made = MADE_BY[type(shape)](*(size(getattr(shape, part)) for part in shape.sizes))
-            first = getattr(shape, shape.sizes[0])
+            sizes = [size(getattr(shape, part)) for part in shape.sizes]
+            first, axes = getattr(shape, shape.sizes[0]), _axes(shape)
+            if isinstance(shape, CoordinateFrame):
+                for column, tone in enumerate(("red", "green", "blue")):
+                    along = np.roll(axes, 2 - column, axis=1)  # the z axis of an arrow is that axis of the frame
+                    yield Solid(name, meshes.arrow(*sizes), COLORS[tone], row, turn, offset, along)
+                continue
+            made = _of_file(shape.path, *sizes) if isinstance(shape, FileMesh) else MADE_BY[type(shape)](*sizes)
             parameter = first if isinstance(first, str) and isinstance(shape, FOLLOWING) else ""
             yield Solid(
                 name,
@@ -186,6 +198,23 @@ MADE_BY: dict[type[BodyShape], Callable[..., Mesh]] = {
     shapes.Arrow: meshes.arrow,
 }
 """What makes the triangles of a shape of its sizes."""
+
+
+def _of_file(path: str, scale: float) -> Mesh:
+    """The triangles of a file."""
+    trimesh = imported("trimesh", "Meshes of files", "meshes")
+    try:
+        loaded = trimesh.load_mesh(path_of(path))
+    except Exception as error:  # which one depends on the kind of the file
+        raise ModelError(f"The mesh {path} cannot be read: {error}.") from error
+    faces = np.array(getattr(loaded, "faces", ()), dtype=np.int64)
+    if not faces.size:
+        raise ModelError(f"The mesh {path} has no triangles.")
+    if len(loaded.vertices) > MOST_VERTICES:
+        raise ModelError(
+            f"The mesh {path} has {len(loaded.vertices)} vertices, more than {MOST_VERTICES}: simplify it."
+        )
+    return Mesh(np.array(loaded.vertices) * scale, np.array(loaded.vertex_normals), faces)
 
 
 def _axes(shape: BodyShape) -> Floats:

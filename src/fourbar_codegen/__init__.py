@@ -22,22 +22,7 @@ from fourbar_codegen.interface.registered import register
 if TYPE_CHECKING:
     from fourbar_codegen import models, solvers
     from fourbar_codegen.analysis.linearization import Linearization
-    from fourbar_codegen.building.toolchain import get_include
-    from fourbar_codegen.compiled_model import CompiledModel, load
-    from fourbar_codegen.export.module import build_model, build_wheel
-    from fourbar_codegen.export.packaging import export_c, export_fmu
-    from fourbar_codegen.files.load import load_trajectory
-    from fourbar_codegen.fitting.fit import Experiment, Fit, fit
-    from fourbar_codegen.jax.jax_model import JaxModel, to_jax
-    from fourbar_codegen.linkage.linkage import Linkage
-    from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
-    from fourbar_codegen.pipeline.compile import compile_model
-    from fourbar_codegen.pipeline.generate import generate_sources
-    from fourbar_codegen.results.assembly_modes import AssemblyModes
-    from fourbar_codegen.results.ensemble import Ensemble
-    from fourbar_codegen.results.kinematics import Branch, Kinematics
-    from fourbar_codegen.results.trajectory import Trajectory
-    from fourbar_codegen.shapes import (
+    from fourbar_codegen.body_shapes import (
         Arrow,
         Box,
         Capsule,
@@ -53,6 +38,21 @@ if TYPE_CHECKING:
         Torus,
         Wheel,
     )
+    from fourbar_codegen.building.toolchain import get_include
+    from fourbar_codegen.compiled_model import CompiledModel, load
+    from fourbar_codegen.export.module import build_model, build_wheel
+    from fourbar_codegen.export.packaging import export_c, export_fmu
+    from fourbar_codegen.files.load import load_trajectory
+    from fourbar_codegen.fitting.fit import Experiment, Fit, fit
+    from fourbar_codegen.jax.jax_model import JaxModel, to_jax
+    from fourbar_codegen.linkage.linkage import Linkage
+    from fourbar_codegen.modeling.model import Model, Parameter, joint_force, multiplier
+    from fourbar_codegen.pipeline.compile import compile_model
+    from fourbar_codegen.pipeline.generate import generate_sources
+    from fourbar_codegen.results.assembly_modes import AssemblyModes
+    from fourbar_codegen.results.ensemble import Ensemble
+    from fourbar_codegen.results.kinematics import Branch, Kinematics
+    from fourbar_codegen.results.trajectory import Trajectory
     from fourbar_codegen.simulation.events import Event
     from fourbar_codegen.simulation.methods import ALI3P, CVODE, DOP853, IDA, RK45, Radau, Tsit5
     from fourbar_codegen.simulation.simulate import Runner
@@ -124,37 +124,37 @@ _HOME = {
     "DOP853": "simulation.methods",
     "IDA": "simulation.methods",
     "RK45": "simulation.methods",
-    "Arrow": "shapes",
+    "Arrow": "body_shapes",
     "AssemblyModes": "results.assembly_modes",
-    "Box": "shapes",
+    "Box": "body_shapes",
     "Branch": "results.kinematics",
-    "Capsule": "shapes",
+    "Capsule": "body_shapes",
     "CompiledModel": "compiled_model",
-    "Cone": "shapes",
-    "CoordinateFrame": "shapes",
-    "Cylinder": "shapes",
-    "Disc": "shapes",
-    "Ellipsoid": "shapes",
+    "Cone": "body_shapes",
+    "CoordinateFrame": "body_shapes",
+    "Cylinder": "body_shapes",
+    "Disc": "body_shapes",
+    "Ellipsoid": "body_shapes",
     "Ensemble": "results.ensemble",
     "Event": "simulation.events",
     "Experiment": "fitting.fit",
     "Fit": "fitting.fit",
     "JaxModel": "jax.jax_model",
     "Kinematics": "results.kinematics",
-    "Line": "shapes",
+    "Line": "body_shapes",
     "Linearization": "analysis.linearization",
     "Linkage": "linkage.linkage",
-    "Mesh": "shapes",
+    "Mesh": "body_shapes",
     "Model": "modeling.model",
     "Parameter": "modeling.model",
-    "Plane": "shapes",
+    "Plane": "body_shapes",
     "Radau": "simulation.methods",
     "Runner": "simulation.simulate",
-    "Sphere": "shapes",
-    "Torus": "shapes",
+    "Sphere": "body_shapes",
+    "Torus": "body_shapes",
     "Trajectory": "results.trajectory",
     "Tsit5": "simulation.methods",
-    "Wheel": "shapes",
+    "Wheel": "body_shapes",
     "build_model": "export.module",
     "build_wheel": "export.module",
     "compile_model": "pipeline.compile",
@@ -179,8 +179,8 @@ _METHODS = {
     "CompiledModel.page": "page.live_page:page",
     "Runner.model": "compiled_model:model_of",
     "Trajectory.model": "compiled_model:model_of",
-    "CompiledModel._all_shapes": "views.model_shapes:all_shapes",
-    "CompiledModel._set_shapes": "views.model_shapes:set_shapes",
+    "Kernel.shapes": "views.model_shapes:all_shapes",
+    "Kernel.set_shapes": "views.model_shapes:set_shapes",
     "Trajectory.save": "files.save:save_trajectory",
     "Trajectory.plot": "views.figures:plot_trajectory",
     "Trajectory.plot_frames": "views.figures:plot_frames",
@@ -200,6 +200,7 @@ _METHODS = {
     "Kinematics.model": "compiled_model:model_of",
     "Kinematics.plot": "views.figures:plot_kinematics",
     "Kinematics.plot_paths": "views.figures:plot_branches",
+    "Linearization.animate": "views.figures:animate_mode",
     "AssemblyModes.model": "compiled_model:model_of",
     "AssemblyModes.plot": "views.figures:plot_modes",
 }

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from fourbar_codegen.analysis.inverse_dynamics import inverse_dynamics as _inverse_dynamics
     from fourbar_codegen.analysis.linearization import linearize as _linearize
     from fourbar_codegen.analysis.linearization import state_space as _state_space
+    from fourbar_codegen.body_shapes import BodyShape
     from fourbar_codegen.kernel.inputs import ode as _ode
     from fourbar_codegen.results.samples import trajectory as _trajectory
-    from fourbar_codegen.shapes import BodyShape
     from fourbar_codegen.simulation.batch import input_jacobian_batch as _input_jacobian_batch
     from fourbar_codegen.simulation.batch import jacobian_batch as _jacobian_batch
     from fourbar_codegen.simulation.batch import parameter_jacobian_batch as _parameter_jacobian_batch
@@ -222,8 +222,6 @@ class CompiledModel:
         residual_sparsity = _Later("simulation.batch")
 
     page = Registered[..., Page]()
-    _all_shapes = Registered[[], dict[str, Any]]()
-    _set_shapes = Registered[[Any], None]()
 
     def __init__(self, kernel: Kernel) -> None:
         self.__dict__.update({name: getattr(kernel, name) for name in CompiledModel.__annotations__}, _kernel=kernel)
@@ -333,11 +331,12 @@ class CompiledModel:
         (Wheel(radius=0.35, at='fo', axis=(0.0, 1.0, 0.0)),)
         >>> bicycle.shapes = {"front wheel": fb.Wheel(0.35, axis=(0, 1, 0), color="red")}
         """
-        return self._all_shapes()
+        found: dict[str, tuple[BodyShape, ...]] = self.kernel.shapes
+        return found
 
     @shapes.setter
     def shapes(self, shapes: Mapping[Any, BodyShape | Sequence[BodyShape]]) -> None:
-        self._set_shapes(shapes)
+        self.kernel.set_shapes(shapes)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return facade_of, (self.kernel,)

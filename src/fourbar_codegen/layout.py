@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cached_property
 from typing import Self, TypeVar
@@ -15,6 +15,7 @@ from typing import Self, TypeVar
 from fourbar_codegen.errors import ModelError
 
 __all__ = [
+    "BodyShapes",
     "Breakpoints",
     "Constraints",
     "Dependencies",
@@ -62,6 +63,9 @@ NUMBERS = ("fingerprint", "initial", "operations", "operations_before_sharing", 
 
 Json = None | bool | int | float | str | Sequence["Json"] | Mapping[str, "Json"]
 """What JSON can hold."""
+
+BodyShapes = Mapping[str, Sequence[Mapping[str, Json]]]
+"""Shapes by the names of bodies, as data."""
 
 
 @dataclass(frozen=True)
@@ -247,6 +251,8 @@ class Drawing:
         Those with a frame whose orientation is known, then frames that have shapes of their own.
     gravity : tuple of float or None
         Its direction.
+    body_shapes : dict of str to sequence
+        The shapes that were given for bodies and frames, as data; see ``body_shapes.py``.
     """
 
     points: tuple[Point, ...]
@@ -256,6 +262,7 @@ class Drawing:
     forced_points: tuple[int, ...]
     bodies: tuple[str, ...]
     gravity: tuple[float, ...] | None
+    body_shapes: BodyShapes
 
 
 @dataclass(frozen=True)
@@ -334,8 +341,6 @@ class Layout:
     constraints : Constraints
     breakpoints : Breakpoints
     drawing : Drawing
-    body_shapes : dict of str to tuple
-        The shapes that were given for bodies and frames in pictures, as data; see ``shapes.py``.
     potential_energy : PotentialEnergy
     initial : dict of str to float
         Values of coordinates, speeds and auxiliary states, as far as the model has them.
@@ -364,13 +369,16 @@ class Layout:
     constraints: Constraints
     breakpoints: Breakpoints
     drawing: Drawing
-    body_shapes: Mapping[str, Sequence[Mapping[str, Json]]]
     potential_energy: PotentialEnergy
     initial: Mapping[str, float]
     warnings: tuple[str, ...]
     compared: int | None
     dependencies: Dependencies
     operations: Operations
+
+    def with_body_shapes(self, shapes: BodyShapes) -> Self:
+        """The layout with other shapes of bodies."""
+        return replace(self, drawing=replace(self.drawing, body_shapes=shapes))
 
     @property
     def states(self) -> tuple[str, ...]:
@@ -501,7 +509,7 @@ class Layout:
             "not_drawn": [*drawing.not_drawn],
             "is_drawn_at_rest": drawing.is_at_rest,
             "gravity": _listed(drawing.gravity),
-            "body_shapes": {name: [{**shape} for shape in shapes] for name, shapes in self.body_shapes.items()},
+            "body_shapes": {name: [{**shape} for shape in shapes] for name, shapes in drawing.body_shapes.items()},
             "forced_points": [*drawing.forced_points],
             "bodies": [*drawing.bodies],
             "initial": {**self.initial},
@@ -583,11 +591,10 @@ class Layout:
                 forced_points=_each(int, data["forced_points"]),
                 bodies=_each(str, data["bodies"]),
                 gravity=None if gravity is None else _numbers(gravity),
+                body_shapes={
+                    name: tuple(map(_object, _list(shapes))) for name, shapes in _object(data["body_shapes"]).items()
+                },
             ),
-            body_shapes={
-                name: tuple(_object(shape) for shape in _list(shapes))
-                for name, shapes in _object(data["body_shapes"]).items()
-            },
             potential_energy=PotentialEnergy(
                 is_known=_one(bool, data["has_potential_energy"]), without=_each(str, data["energy_without"])
             ),

@@ -104,7 +104,7 @@ def test_ensemble_whose_members_all_fail_can_be_plotted(four_bar):
 
 def test_plot_of_chosen_quantities_has_a_panel_for_each(trajectory):
     figure = trajectory.plot(["P2", "energy"])
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["P2", "energy"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["P2 (m)", "energy (J)"]
     assert [line.get_label() for line in figure.axes[0].lines] == ["x", "y", "z"]
     assert len(trajectory.plot("q1").axes) == 1
     with pytest.raises(fb.ModelError, match="no quantity 'q9'"):

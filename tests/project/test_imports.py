@@ -14,7 +14,8 @@ PACKAGE = Path(fourbar_codegen.__file__).parent
 TESTS = Path(__file__).parents[1]
 DRAWING = TESTS.parent / "docs" / "folders.svg"
 ROOT = {
-    "errors": "errors", "layout": "errors", "compiled_model": "compiled_model", "__init__": "all", "__main__": "cli",
+    "errors": "errors", "layout": "errors", "body_shapes": "interface", "compiled_model": "compiled_model",
+    "__init__": "all", "__main__": "cli",
 }  # fmt: skip
 """The layers of the files that are in no folder; that of the others is their folder."""
 
@@ -41,7 +42,7 @@ CORE = {
 
 BESIDE = {
     "linkage": ["modeling"],
-    "views": ["results"],
+    "views": ["analysis"],
     "files": ["views", "compiled_model"],
     "fitting": ["views", "compiled_model"],
     "jax": ["compiled_model"],

@@ -14,6 +14,7 @@ import fourbar_codegen as fb
 from fourbar_codegen.building.stored_model import StoredModel
 from fourbar_codegen.compiled_model import EVALUATED, facade_of
 from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
+from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.modeling.mechanism import Mechanism
 
 NAMES = {
@@ -27,13 +28,14 @@ NAMES = {
     output_input_jacobian output_jacobian output_parameter_jacobian outputs page parameter_jacobian
     parameter_jacobian_batch parameters path points position_constraints positions potential_energy prescribed
     require_batch_functions require_derivatives require_drawing require_products residual_batch residual_jacobian_batch
-    residual_sparsity rhs rhs_batch runner simulate speeds stability state_space states stepper trajectory tree_forcing
+    residual_sparsity rhs rhs_batch runner shapes simulate speeds stability state_space states stepper trajectory
+    tree_forcing
     tree_mass_matrix units velocity_constraints vjp
     """,
     "Trajectory": """
     accelerations animate columns constraint_residual directions energy energy_without event_sensitivity forces
     gradient inputs kernel kinetic_energy message model multipliers nfev njev nlu output_sensitivity outputs
-    parameters plot plot_paths points potential_energy q r report resample residual_label save sensitivity
+    parameters plot plot_frames plot_paths points potential_energy q r report resample residual_label save sensitivity
     settings sol status steps success t t_events to_dataframe to_xarray u vectors velocities velocity_residual y
     y_events z
     """,
@@ -98,7 +100,7 @@ def test_registered_methods_are_declared_and_their_functions_exist(method):
     name, _, attribute = method.partition(".")
     [kind] = {
         kind
-        for kind in (fb.CompiledModel, *RESULTS, fb.Runner, fb.Model, Mechanism, StoredModel)
+        for kind in (fb.CompiledModel, *RESULTS, fb.Runner, fb.Model, fb.Linearization, Kernel, Mechanism, StoredModel)
         if kind.__name__ == name
     }
     assert isinstance(inspect.getattr_static(kind, attribute), Registered | RegisteredAttribute)

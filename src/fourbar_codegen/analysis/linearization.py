@@ -3,21 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from fourbar_codegen.analysis.loop_closure import require_closed
-from fourbar_codegen.errors import ModelError
-from fourbar_codegen.interface.arguments import Values, finite_number, listed, name_of, named_array
+from fourbar_codegen.errors import ModelError, shown
+from fourbar_codegen.interface.arguments import (
+    Values,
+    finite_number,
+    is_integer,
+    listed,
+    name_of,
+    named_array,
+    positive,
+)
+from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.results.samples import trajectory
+from fourbar_codegen.results.trajectory import Trajectory
 
 __all__ = ["Linearization", "linearize", "state_space"]
 
 Floats = NDArray[np.float64]
+
+
+OSCILLATES = 0.05
+"""Least ratio of the parts of an eigenvalue of a motion that is shown for two periods."""
+
+DURATIONS = (0.1, 60.0)
+"""Of the motion along a mode by default, s."""
+
+ZERO = 1e-9
+"""Largest ratio of an eigenvalue that is zero but for rounding errors, to the largest one."""
+
+STEPS_PER_SECOND, MIN_STEPS = 60.0, 120
+
+
+@dataclass(frozen=True, eq=False)
+class OperatingPoint:
+    """What a model is linearized about.
+
+    Attributes
+    ----------
+    model : Kernel
+    t : float
+    x : ndarray, shape (n_x,)
+    p, r : array_like or mapping or None
+    directions : ndarray, shape (n_x, n_i)
+        The change of the state for changes of the independent coordinates and speeds and of the auxiliary states.
+    """
+
+    model: Kernel
+    t: float
+    x: Floats
+    p: Values | None
+    r: Values | None
+    directions: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,12 +79,97 @@ class Linearization(Sequence[Floats]):
         The columns of B and D.
     outputs : tuple of str
         The rows of C and D.
+    about : OperatingPoint
+        The state that it is about.
     """
 
     matrices: tuple[Floats, ...]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
+    about: OperatingPoint = field(repr=False)
+
+    # By the pictures, which stand above.
+    animate = Registered[..., Any]()
+
+    @cached_property
+    def _modes(self) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+        """Eigenvalues and eigenvectors, by decreasing real part, then imaginary part."""
+        values, vectors = np.linalg.eig(self.matrices[0].astype(complex))
+        size = np.abs(values).max(initial=1.0)
+        order = np.lexsort((-values.imag, -np.round(values.real / size, 9)))
+        return values[order], vectors[:, order]
+
+    @property
+    def eigenvalues(self) -> NDArray[np.complex128]:
+        """The eigenvalues of A, 1/s, by decreasing real part: an unstable motion comes first.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> bicycle = fb.compile_model(fb.models.whipple_bicycle())
+        >>> linear = bicycle.linearize(0.0, bicycle.initial_state())
+        >>> linear.eigenvalues.real.round(3)[-4:].tolist()  # capsize, weave and castering at 5 m/s
+        [-0.323, -0.775, -0.775, -14.078]
+        """
+        return self._modes[0]
+
+    def mode(self, number: int, *, amplitude: float = 0.1, duration: float | None = None) -> Trajectory:
+        """The motion along a mode: x(t) = x_0 + x_0' t + a Re(v exp(lambda t)), with v of the eigenvalue lambda.
+
+        The first terms are the motion that the model is linearized about: where speeds are constant, coordinates
+        change with them, so that a bicycle rolls on.
+
+        Parameters
+        ----------
+        number : int
+            Of an entry of `eigenvalues`.
+        amplitude : float, optional
+            The largest change of a coordinate in the motion, in its unit; of a speed if the mode has no coordinates.
+        duration : float, optional
+            In s; by default two periods, or three times the time constant of a motion that does not oscillate.
+
+        Returns
+        -------
+        Trajectory
+            It satisfies the constraints to first order in the amplitude.
+
+        Raises
+        ------
+        ModelError
+            If there is no such mode, or an argument is not positive.
+
+        Source: J. P. Meijaard, J. M. Papadopoulos, A. Ruina, A. L. Schwab, "Linearized dynamics equations for the
+        balance and steer of a bicycle", *Proceedings of the Royal Society A* 463 (2007): weave, capsize and castering.
+
+        Examples
+        --------
+        >>> import fourbar_codegen as fb
+        >>> four_bar = fb.load("four_bar")
+        >>> linear = four_bar.linearize(0.0, four_bar.initial_state())
+        >>> linear.mode(0, duration=1.0).t[-1]
+        np.float64(1.0)
+        """
+        values, vectors = self._modes
+        if not is_integer(number) or not -len(values) <= number < len(values):
+            raise ModelError(f"There are modes 0 to {len(values) - 1}, not {shown(number)}.")
+        positive(amplitude, "amplitude")
+        value, about = values[number], self.about
+        model, n_q = about.model, about.model.n_q
+        if duration is None:
+            oscillates = abs(value.imag) > OSCILLATES * abs(value.real) and value.imag
+            rate = abs(value.imag) / (4.0 * np.pi) if oscillates else abs(value) / 3.0
+            is_zero = abs(value) <= ZERO * np.abs(values).max()
+            duration = 1.0 if is_zero else float(np.clip(1.0 / rate, *DURATIONS))
+        positive(duration, "duration")
+        t = np.linspace(0.0, duration, 1 + max(MIN_STEPS, round(duration * STEPS_PER_SECOND)))
+        change = about.directions @ vectors[:, number]
+        waves = np.real(np.outer(change, np.exp(value * t)))
+        largest = np.abs(waves[:n_q]).max() or np.abs(waves).max()
+        rates = np.concatenate((model.rhs(about.t, about.x, about.p, about.r)[:n_q], np.zeros(model.n_x - n_q)))
+        states = about.x[:, np.newaxis] + np.outer(rates, t) + amplitude / largest * waves
+        inputs = None if about.r is None else dict(zip(model.inputs, np.asarray(about.r), strict=True))
+        return trajectory(model, about.t + t, states, parameters=about.p, inputs=inputs)
 
     def __len__(self) -> int:
         return len(self.matrices)
@@ -131,6 +262,7 @@ def linearize(
         tuple(model.states[place] for place in places),
         model.inputs,
         names,
+        OperatingPoint(model, t, np.asarray(state, dtype=float), p, r, dx[:, :n_i]),
     )
 
 

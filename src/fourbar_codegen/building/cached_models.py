@@ -125,7 +125,7 @@ def load_from_sources(name: str, sources: Mapping[str, str], layout: Layout, lat
 def reduced(origin: StoredModel, kernel: Kernel) -> tuple[Any, ...]:
     """What a pickle has of a kernel, for `restored`."""
     path = str(origin.path) if kernel.is_portable else None
-    layout = replace(kernel.layout, body_shapes=kernel.body_shapes)
+    layout = kernel.layout.with_body_shapes(kernel.body_shapes)
     return restored, (path, layout, origin.sources_now(kernel), origin.later, origin.compares)
 
 
@@ -148,7 +148,7 @@ def restored(
 
 def _is_of(loaded: Loaded, layout: Layout) -> bool:
     """Whether a model has a layout, but for the shapes of its pictures."""
-    return replace(loaded.layout, body_shapes=layout.body_shapes) == layout
+    return loaded.layout.with_body_shapes(layout.drawing.body_shapes) == layout
 
 
 def _found(path: str | None, layout: Layout, sources: Mapping[str, str] | None, later: bytes | None) -> Loaded:

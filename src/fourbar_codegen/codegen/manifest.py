@@ -98,7 +98,6 @@ def layout_of(
             state_jumps=_state_jumps(model, equations, names),
         ),
         drawing=_drawing(model, equations),
-        body_shapes={},  # of those that want them; see `with_shapes`
         potential_energy=PotentialEnergy(is_known=not energies[1].is_nan, without=equations.energy.without),
         initial=model.initial,
         warnings=equations.warnings,
@@ -143,6 +142,7 @@ def _drawing(model: Model, equations: Equations) -> Drawing:
         is_at_rest=picture.is_at_rest,
         forced_points=equations.drawing.forced,
         bodies=equations.bodies.names,
+        body_shapes={},  # the C code does not depend on them
         gravity=gravity(mechanism.loads, mechanism.bodies, _values(model), mechanism.time),
     )
 

@@ -21,6 +21,7 @@ from fourbar_codegen.interface.arguments import (
     named_array,
     named_values,
 )
+from fourbar_codegen.interface.registered import Registered, RegisteredAttribute
 from fourbar_codegen.kernel.dependent import eliminate
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.runtime.enumerations import Role
@@ -75,12 +76,16 @@ class Kernel(Functions):
         self.prescribed: tuple[str, ...] = layout.prescribed
         self.outputs: tuple[str, ...] = layout.outputs
         self.points: tuple[str, ...] = tuple(entry.name for entry in layout.drawing.points if entry.name)
-        self.body_shapes = layout.body_shapes  # as data: their classes are imported for pictures alone
+        self.body_shapes = layout.drawing.body_shapes  # as data: their classes are imported for pictures alone
         self.forced_points: tuple[str, ...] = tuple(self.points[place] for place in layout.drawing.forced_points)
         self.defaults: Mapping[str, float | None] = MappingProxyType({e.name: e.default for e in layout.parameters})
         self.units: Mapping[str, str] = MappingProxyType({e.name: e.unit for e in layout.parameters})
         self.ranges: dict[str, tuple[float, float] | None] = {e.name: e.range for e in layout.parameters}
         self.descriptions: Mapping[str, str] = MappingProxyType({e.name: e.description for e in layout.parameters})
+
+    # By the pictures, which stand above.
+    shapes = RegisteredAttribute()
+    set_shapes = Registered[[Any], None]()
 
     def __repr__(self) -> str:
         return f"<Kernel of {self.name}>"

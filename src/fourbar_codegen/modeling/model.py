@@ -14,13 +14,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
+from fourbar_codegen.body_shapes import BodyShape, named_shapes
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_of, slider_range
 from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.system_reader import read_mechanism
-from fourbar_codegen.shapes import BodyShape, named_shapes
 
 if TYPE_CHECKING:
     from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, Vector

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from fourbar_codegen.body_shapes import data_of
 from fourbar_codegen.building.cache import cached, find_cached
 from fourbar_codegen.building.cached_models import cache_key, load_cached
 from fourbar_codegen.building.kernel_library import install
@@ -16,7 +17,6 @@ from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.pipeline.check import comparison, not_compared, warn
 from fourbar_codegen.pipeline.generate import described, generate_kernel, require_model
-from fourbar_codegen.shapes import data_of
 
 __all__ = ["compile_model", "key_of"]
 
@@ -78,7 +78,7 @@ def compile_model(model: Model, *, check: bool = True) -> CompiledModel:
     if not check and find_cached(model.name, key) is None:
         key = key_of(model, checked=False)
     loaded = load_cached(lambda: cached(model.name, key, build))
-    layout = replace(loaded.layout, body_shapes=data_of(model.shapes))
+    layout = loaded.layout.with_body_shapes(data_of(model.shapes))
     compiled = facade_of(kernel_of(replace(loaded, layout=layout), compares=check))
     warn(compiled.layout.warnings, 3)
     if check and not compiled.is_verified:

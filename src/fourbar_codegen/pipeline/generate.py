@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
+from fourbar_codegen.body_shapes import data_of
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.expressions.fingerprint import fingerprint
 from fourbar_codegen.interface.progress import Progress
 from fourbar_codegen.layout import Layout
 from fourbar_codegen.modeling.model import Model
 from fourbar_codegen.pipeline.check import warn
-from fourbar_codegen.shapes import data_of
 
 if TYPE_CHECKING:
     from fourbar_codegen.dynamics.derivatives import Derivatives
@@ -153,7 +153,8 @@ def generate_all(model: Model, progress: Progress) -> tuple[Equations, Derivativ
     varied = _generate_products(*pickle.loads(pickle.dumps((equations, program))))
     derivatives, scheduled = generate_derivatives(equations, program)
     functions = (*program.functions, *(f.function for f in (*scheduled, *varied)))
-    layout = replace(generated.layout, operations=operations_of(functions), body_shapes=data_of(model.shapes))
+    layout = generated.layout.with_body_shapes(data_of(model.shapes))
+    layout = replace(layout, operations=operations_of(functions))
     return (
         equations,
         derivatives,

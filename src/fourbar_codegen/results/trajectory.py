@@ -120,6 +120,7 @@ class Trajectory:
     model = RegisteredAttribute()
     save = Registered[[str | Path], Path]()
     plot = Registered[..., Figure]()
+    plot_frames = Registered[..., Figure]()
     plot_paths = Registered[..., Figure]()
     animate = Registered[..., FuncAnimation]()
     report = Registered[..., Page]()

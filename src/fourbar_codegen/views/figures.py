@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
     from matplotlib.figure import Figure
 
+    from fourbar_codegen.analysis.linearization import Linearization
     from fourbar_codegen.results.assembly_modes import AssemblyModes
     from fourbar_codegen.results.ensemble import Ensemble
     from fourbar_codegen.results.kinematics import Branch, Kinematics
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "animate",
+    "animate_mode",
     "plot_branch",
     "plot_branches",
     "plot_ensemble",
@@ -682,6 +684,26 @@ def animate(
         figure, show, frames=len(drawn.shown.t), interval=1000.0 / fps, blit=False
     )
     return animation
+
+
+def animate_mode(linear: Linearization, number: int, **how: Any) -> FuncAnimation:
+    """Animate the motion along a mode with Matplotlib: `animate` of `Linearization.mode`.
+
+    Parameters
+    ----------
+    number : int
+        Of an entry of `Linearization.eigenvalues`.
+    **how
+        Those of `Linearization.mode` and of `Trajectory.animate`.
+
+    Examples
+    --------
+    >>> import fourbar_codegen as fb
+    >>> four_bar = fb.load("four_bar")
+    >>> animation = four_bar.linearize(0.0, four_bar.initial_state()).animate(0)  # doctest: +SKIP
+    """
+    of_mode = {name: how.pop(name) for name in ("amplitude", "duration") if name in how}
+    return animate(linear.mode(number, **of_mode), **how)
 
 
 def _window(seen: Scene, tips: Sequence[int], *, follows: bool) -> tuple[Floats, Floats]:

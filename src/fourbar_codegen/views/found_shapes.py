@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.body_shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
 from fourbar_codegen.kernel.kernel import Kernel
-from fourbar_codegen.shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
 
 __all__ = ["Contact", "contacts", "found_shapes"]
 

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from fourbar_codegen.body_shapes import BodyShape, data_of, named_shapes, shapes_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import ShapeKind
-from fourbar_codegen.shapes import BodyShape, data_of, named_shapes, shapes_of
 from fourbar_codegen.views.scene import scene, view_of
-
-if TYPE_CHECKING:
-    from fourbar_codegen.compiled_model import CompiledModel
 
 __all__ = ["ShapesLike", "all_shapes", "given_shapes", "set_shapes"]
 
@@ -34,9 +31,8 @@ def _names(model: Kernel) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def all_shapes(compiled: CompiledModel) -> dict[str, tuple[BodyShape, ...]]:
+def all_shapes(model: Kernel) -> dict[str, tuple[BodyShape, ...]]:
     """The shapes of a model: see `CompiledModel.shapes`."""
-    model = compiled.kernel
     values = np.array([*model.defaults.values()], dtype=float)
     if np.isnan(values).any():
         return given_shapes(model)
@@ -49,6 +45,6 @@ def all_shapes(compiled: CompiledModel) -> dict[str, tuple[BodyShape, ...]]:
     return {**scene(model, positions, view, rotations=rotations, p=values, given=given).shapes}
 
 
-def set_shapes(compiled: CompiledModel, shapes: ShapesLike) -> None:
+def set_shapes(model: Kernel, shapes: ShapesLike) -> None:
     """Give a model shapes: see `CompiledModel.shapes`."""
-    compiled.kernel.body_shapes = data_of(named_shapes(shapes, _names(compiled.kernel)))
+    model.body_shapes = data_of(named_shapes(shapes, _names(model)))

@@ -14,11 +14,11 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from fourbar_codegen.body_shapes import BodyShape
 from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Point, Shape
-from fourbar_codegen.shapes import BodyShape
 from fourbar_codegen.views.found_shapes import contacts, found_shapes
 from fourbar_codegen.views.solids import Solid, solids_of
 

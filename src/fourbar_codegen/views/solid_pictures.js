@@ -457,6 +457,14 @@ const pictureOf = (svg, scene) => {
   for (const name of ["id", "role", "aria-label"]) canvas.setAttribute(name, svg.getAttribute(name));
   const picture = solidPicture(canvas, scene);
   if (!picture) return mechanismPicture(svg, scene);
-  svg.replaceWith(canvas);
+  const views = make("div", {class: "controls", role: "group", "aria-label": "Views"}, svg.parentElement);
+  for (const name of ["home", "front", "side", "top"]) {
+    make("button", {type: "button"}, views, name[0].toUpperCase() + name.slice(1))
+      .addEventListener("click", () => picture.look(name));
+  }
+  svg.after(canvas, views);
+  svg.remove();
+  byId("turn").textContent = " In the picture: drag to turn, Shift and drag or two fingers to move, pinch, + and - to " +
+    "enlarge; with the focus there, arrows turn, with Shift move, the wheel enlarges, 1, 2, 3, 0 are views.";
   return picture;
 };

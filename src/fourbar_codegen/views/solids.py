@@ -9,14 +9,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen import shapes
+from fourbar_codegen import body_shapes as shapes
+from fourbar_codegen.body_shapes import BodyShape, CoordinateFrame, Line
+from fourbar_codegen.body_shapes import Mesh as FileMesh
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.paths import path_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import ShapeKind
-from fourbar_codegen.shapes import BodyShape, CoordinateFrame, Line
-from fourbar_codegen.shapes import Mesh as FileMesh
 from fourbar_codegen.views import meshes
 from fourbar_codegen.views.meshes import Mesh
 

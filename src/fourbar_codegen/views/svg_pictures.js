@@ -232,7 +232,10 @@ const NOISE = 1e-12;
 const timePlot = (section, {title, log, names}, seek) => {
   const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 24, TALL = 170;
   const svg = make("svg", {role: "img", "aria-label": title, height: TALL}, section);
-  const legend = make("div", {class: "controls"}, section);
+  // Many names are folded, so that plots stay close together.
+  const fold = names.length > COLORS ? make("details", {class: "legend"}, section) : section;
+  if (fold !== section) make("summary", {}, fold, `${names.length} curves`);
+  const legend = make("div", {class: "controls"}, fold);
   const outputs = names.map((name, c) => {
     const entry = make("span", {}, legend);
     make("span", {style: `color: var(--curve${c % COLORS})`, "aria-hidden": "true"}, entry, "\u2501 ");
@@ -389,12 +392,17 @@ const followBox = (box, picture) => {
   box.addEventListener("change", () => picture.follow(box.checked));
 };
 
-// A box for each point, that shows and hides its trace.
-const traceBoxes = (parent, points, picture, changed = () => {}) => points.map(({name, traced}, k) => {
+// A box for each point, that shows and hides its trace; many are folded.
+const FEW_POINTS = 12;
+const traceBoxes = (parent, points, picture, changed = () => {}) => {
+  const fold = parent.closest("details");
+  if (fold?.classList.contains("few")) fold.open = points.length <= FEW_POINTS;
+  return points.map(({name, traced}, k) => {
   const label = make("label", {}, parent), box = make("input", {type: "checkbox"}, label);
   label.append(` ${name}`);
   box.checked = traced;
   picture.trace(k, traced);
   box.addEventListener("change", () => { picture.trace(k, box.checked); changed(); });
   return box;
-});
+  });
+};

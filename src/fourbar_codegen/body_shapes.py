@@ -90,14 +90,14 @@ class BodyShape:
                 (common if entry.kw_only else own).append(f"{entry.name}={value!r}")
         return f"{type(self).__name__}({', '.join(own + common)})"
 
-    def to_json(self) -> dict[str, Any]:
+    def as_data(self) -> dict[str, Any]:
         """The shape as data that JSON can hold."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         return {"kind": type(self).__name__} | {k: [*v] if isinstance(v, tuple) else v for k, v in values.items()}
 
     @staticmethod
-    def from_json(data: Mapping[str, Any]) -> BodyShape:
-        """The shape of data that `to_json` has made.
+    def from_data(data: Mapping[str, Any]) -> BodyShape:
+        """The shape of data that `as_data` has made.
 
         Raises
         ------
@@ -266,12 +266,12 @@ KINDS: dict[str, type[BodyShape]] = {
 
 def data_of(shapes: Mapping[str, Sequence[BodyShape]]) -> dict[str, list[dict[str, Any]]]:
     """Shapes by names of bodies as data that JSON can hold."""
-    return {name: [shape.to_json() for shape in of_body] for name, of_body in shapes.items()}
+    return {name: [shape.as_data() for shape in of_body] for name, of_body in shapes.items()}
 
 
 def shapes_of(data: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, tuple[BodyShape, ...]]:
     """The shapes of data that `data_of` has made."""
-    return {name: tuple(map(BodyShape.from_json, of_body)) for name, of_body in data.items()}
+    return {name: tuple(map(BodyShape.from_data, of_body)) for name, of_body in data.items()}
 
 
 def named_shapes(given: Any, names: Collection[str]) -> dict[str, tuple[BodyShape, ...]]:

@@ -20,7 +20,7 @@ from fourbar_codegen.views.frames import equal_times, frames_of
 from fourbar_codegen.views.model_shapes import ShapesLike
 from fourbar_codegen.views.panels import Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
-from fourbar_codegen.views.shaded import CAMERA, draw_solids, ground_lines, limits, seen_obliquely
+from fourbar_codegen.views.shaded import CAMERA, draw_solids, ground_lines, seen_obliquely
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -381,7 +381,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         + (f"\n{_label(modes.freedom)}" if modes.free else ""),
         wrap=True,
     )
-    low, high = (end(ends, axis=1) for end, ends in zip((np.nanmin, np.nanmax), limits(drawn), strict=True))
+    low, high = (end(ends, axis=1) for end, ends in zip((np.nanmin, np.nanmax), drawn.limits(), strict=True))
     n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
         _draw(axes, drawn)(number)
@@ -708,13 +708,13 @@ def animate_mode(linear: Linearization, number: int, **how: Any) -> FuncAnimatio
 
 def _window(seen: Scene, tips: Sequence[int], *, follows: bool) -> tuple[Floats, Floats]:
     """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); it follows what goes far, if it may."""
-    low, high = limits(seen, [row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
+    low, high = seen.limits([row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
     ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
     size, largest = (ends[1] - ends[0])[:2], np.nanmax(high - low, axis=1)[:2]
     if follows and size.max() > FAR * largest.max():
         middle, size = (low + high)[:2] / 2.0, largest
     else:
-        low, high = limits(seen, [*seen.shown, *tips])
+        low, high = seen.limits([*seen.shown, *tips])
         ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
         size = (ends[1] - ends[0])[:2]
         middle = np.repeat((ends[0] + ends[1])[:2, np.newaxis] / 2.0, seen.positions.shape[2], axis=1)

@@ -86,7 +86,7 @@ def frames_of(
     if greatest:
         forces = {name: force / greatest for name, force in forces.items()}
         longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
-        forces = {name: ARROW * found.size * force / longest for name, force in forces.items()}
+        forces = {name: ARROW * found.body_size * force / longest for name, force in forces.items()}
     tips = {
         model.points.index(name): found.view(shown.points[name] + force) for name, force in forces.items() if greatest
     }

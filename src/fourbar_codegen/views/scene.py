@@ -35,7 +35,7 @@ UNIT = 0.03
 LINKS = 4.0
 """Size of a mechanism that travels, relative to its largest link."""
 
-MOST_TIPS = 4
+MOST_TIPS = 3
 """Most ends of links in space with a trace by default."""
 
 ASIDE = 0.2
@@ -238,7 +238,9 @@ class Scene:
         """
         moving = {row: name for row, name in enumerate(self.names) if self.moves(row)}
         if self.solids:  # in space, few points
-            few = [*self.contacts] or [row for row in self.tips if row in moving][:MOST_TIPS]
+            tips, centers = ([row for row in rows if row in moving] for rows in (self.tips, range(len(self.names))))
+            centers = [row for row in centers if self.bodies[row] is not None]
+            few = [*self.contacts] or (tips if len(tips) <= MOST_TIPS else centers)[:MOST_TIPS]
             return {row: self.names[row] for row in few if row < len(self.names)} or moving
         joints: dict[int, str] = {}
         for row, name in moving.items():
@@ -252,6 +254,30 @@ class Scene:
         """Rows that are in the picture: not points without a symbol, nor those that guides are directed to."""
         rows = {row for line in self.lines for row in line.rows} | {symbol.at for symbol in self.symbols}
         return sorted(rows | set(self.traced()))
+
+    def limits(self, rows: Sequence[int] | None = None) -> tuple[Floats, Floats]:
+        """The least and largest coordinates of rows and of all solids at each instant, shape (3, n_t) each.
+
+        By default of all rows that are shown.
+        """
+        points = self.positions[self.shown if rows is None else list(rows)]
+        low, high = [*points], [*points]
+        for solid in self.solids:
+            places, _ = solid.placed(self.positions, self.rotations)
+            low.append(places - solid.reach)
+            high.append(places + solid.reach)
+        with warnings.catch_warnings():  # instants at which nothing has a place
+            warnings.simplefilter("ignore", RuntimeWarning)
+            return np.nanmin(low, axis=0), np.nanmax(high, axis=0)
+
+    @property
+    def body_size(self) -> float:
+        """The size of what moves, m: in space at one instant, since vehicles go far."""
+        if not self.solids:
+            return self.size
+        low, high = self.limits([row for row in self.shown if self.moves(row)])
+        sizes = (high - low).max(axis=0)
+        return float(np.median(sizes[np.isfinite(sizes)])) if np.isfinite(sizes).any() else self.size
 
     def outline(self, symbol: Symbol) -> Floats:
         """The lines of a symbol, one after the other with NaN between them, shape (3, n_points, n_t)."""

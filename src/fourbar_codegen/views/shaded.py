@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import importlib
-import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from fourbar_codegen.views.scene import Scene
 
-__all__ = ["CAMERA", "draw_solids", "ground_lines", "limits", "seen_obliquely"]
+__all__ = ["CAMERA", "draw_solids", "ground_lines", "seen_obliquely"]
 
 Floats = NDArray[np.float64]
 
@@ -45,22 +44,6 @@ def seen_obliquely(drawn: Scene) -> Scene:
         rotations=np.einsum("ij,bjkt->bikt", CAMERA, drawn.rotations),
         view=replace(drawn.view, turn=CAMERA @ drawn.view.turn, is_planar=True),
     )
-
-
-def limits(drawn: Scene, rows: Sequence[int] | None = None) -> tuple[Floats, Floats]:
-    """The least and largest coordinates of rows and of all solids at each instant, shape (3, n_t) each.
-
-    By default of all rows that are shown.
-    """
-    shown = drawn.positions[drawn.shown if rows is None else list(rows)]
-    low, high = [*shown], [*shown]
-    for solid in drawn.solids:
-        places, _ = solid.placed(drawn.positions, drawn.rotations)
-        low.append(places - solid.reach)
-        high.append(places + solid.reach)
-    with warnings.catch_warnings():  # instants at which nothing has a place
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return np.nanmin(low, axis=0), np.nanmax(high, axis=0)
 
 
 def draw_solids(axes: Any, drawn: Scene) -> Callable[[int], None]:
@@ -118,7 +101,7 @@ def ground_lines(drawn: Scene) -> Floats:
     heights = heights[np.isfinite(heights)]
     if not heights.size:
         return np.zeros((0, 2, 3))
-    lows, highs = limits(drawn)
+    lows, highs = drawn.limits()
     low, high = np.nanmin(lows, axis=1), np.nanmax(highs, axis=1)
     step, z = float((high - low)[:2].max()) / LINES, heights.min()
     x, y = (

@@ -121,29 +121,37 @@ const segmentsOf = points => {
   return [new Float32Array(values), new Uint16Array(indices)];
 };
 
+// The corners of the box about points.
+const cornersOf = points => {
+  const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
+  points.forEach((value, i) => {
+    low[i % 3] = Math.min(low[i % 3], value);
+    high[i % 3] = Math.max(high[i % 3], value);
+  });
+  return Array.from({length: 8}, (_, k) => [0, 1, 2].map(j => (k >> j) & 1 ? high[j] : low[j]));
+};
+
 // The picture in an element <canvas>, with the methods of `mechanismPicture`; `set` also takes quaternions of the
 // bodies, n times as many as the scene's solids turn with. Null where the browser has no WebGL.
 const solidPicture = (canvas, scene) => {
   const gl = canvas.getContext("webgl", {antialias: true, alpha: false});
   if (!gl) return null;
-  const FOLLOWED = 0.8, FAR = 4, STILL = 1e-9, MARGIN = 0.86, HOME = [-0.6, -1.15];
+  const FAR = 4, STILL = 1e-9, MARGIN = 0.86, HOME = [-0.6, -1.15];
   const TURNS = {front: [0, -Math.PI / 2], side: [-Math.PI / 2, -Math.PI / 2], top: [0, 0], home: HOME};
   let [turn, tilt] = HOME, zoom = 1, pan = [0, 0];
   let positions = new Float32Array(0), rotations = new Float32Array(0), n = 0, m = 0, bodies = 0, shown = 0;
-  let sizes = {}, before = null, moving = [], follows = false, low = [0, 0, 0], high = [0, 0, 0], span = 1, radius = 1;
+  let sizes = {}, before = null, moving = [], moves = new Set(), follows = false;
+  // All that is shown, in the inertial frame; its size at one instant; and the sizes on the screen.
+  let low = [0, 0, 0], high = [0, 0, 0], radius = 1, span = [1, 1], middleSeen = [0, 0, 0];
   const drawn = [...new Set([...scene.shown, ...scene.solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
   const solid = programOf(gl, SHADERS.solid), line = programOf(gl, SHADERS.line);
   const meshes = scene.meshes.map(({vertices, normals, faces}) => ({
     vertices: bufferOf(gl, gl.ARRAY_BUFFER, bytesOf(vertices)), normals: bufferOf(gl, gl.ARRAY_BUFFER, bytesOf(normals)),
     faces: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, bytesOf(faces)), count: bytesOf(faces).length / 2,
-    reach: Math.max(...new Float32Array(bytesOf(vertices).buffer).map(Math.abs)),
+    corners: cornersOf(new Float32Array(bytesOf(vertices).buffer)),
   }));
-  // How far solids reach from the rows where they are.
-  const reaches = new Map();
-  for (const {mesh, row, to, offset} of scene.solids) if (to === null) {
-    reaches.set(row, Math.max(reaches.get(row) ?? 0, meshes[mesh].reach + Math.hypot(...offset)));
-  }
+  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color)}));
   const colors = {};
   const traces = new Map();
   const readColors = () => {
@@ -160,23 +168,51 @@ const solidPicture = (canvas, scene) => {
   };
   const isKnown = a => Number.isFinite(a[0] + a[1] + a[2]);
   // Rows of the matrix are the directions to the right, upwards, and to the reader.
-  const view = () => {
+  const turned = ([turn, tilt]) => {
     const [c, s, ct, st] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
     return transposed([c, -s, 0, s * ct, c * ct, -st, s * st, c * st, ct]);
   };
-  const extent = (begin, end, rows) => {
+  // Where a solid is, and the matrix that turns and scales it; null where that is not known.
+  const placedAt = (i, {row, turn: body, offset, rotation, to, length, parameter, value}) => {
+    let place = at(i, row), matrix = rotation;
+    if (to !== null) {
+      const end = at(i, to), way = minus(end, place), z = unitOf(way), x = unitOf(crossed(farthest(z), z));
+      const longer = Math.hypot(...way) / length;
+      matrix = [...x, ...crossed(z, x), ...z.map(entry => longer * entry)];
+      place = place.map((entry, j) => (entry + end[j]) / 2);
+    } else if (body !== null) {
+      const start = 4 * (i * bodies + body), own = turnOf(rotations.subarray(start, start + 4));
+      const moved = times3(own, offset);
+      matrix = product3(own, rotation);
+      place = place.map((entry, j) => entry + moved[j]);
+    }
+    if (parameter in sizes) matrix = matrix.map(entry => entry * sizes[parameter] / value);
+    return isKnown(place) && matrix.every(Number.isFinite) ? [place, matrix] : null;
+  };
+  // The least and largest coordinates of rows and of moving or all solids, turned by a matrix, at some instants.
+  const extent = (instants, rows, all, matrix = null) => {
     const ends = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-    for (let i = begin; i < end; ++i) for (const k of rows) {
-      const a = at(i, k);
-      const reach = reaches.get(k) ?? 0;
-      if (isKnown(a)) for (let j = 0; j < 3; ++j) {
-        ends[0][j] = Math.min(ends[0][j], a[j] - reach);
-        ends[1][j] = Math.max(ends[1][j], a[j] + reach);
+    const add = a => {
+      const b = matrix ? times3(matrix, a) : a;
+      if (isKnown(b)) for (let j = 0; j < 3; ++j) {
+        ends[0][j] = Math.min(ends[0][j], b[j]);
+        ends[1][j] = Math.max(ends[1][j], b[j]);
+      }
+    };
+    for (const i of instants) {
+      for (const k of rows) add(at(i, k));
+      for (const solid of solids) if (all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to)) {
+        const found = placedAt(i, solid);
+        if (found) for (const corner of meshes[solid.mesh].corners) {
+          const b = times3(found[1], corner);
+          add([found[0][0] + b[0], found[0][1] + b[1], found[0][2] + b[2]]);
+        }
       }
     }
     return ends;
   };
   const sizeOf = ([low, high]) => Math.hypot(...minus(high, low));
+  const some = most => Array.from({length: Math.min(n, most)}, (_, k) => Math.round(k * (n - 1) / Math.max(1, Math.min(n, most) - 1)));
 
   const lineOf = points => {
     const [values, indices] = segmentsOf(points);
@@ -233,10 +269,11 @@ const solidPicture = (canvas, scene) => {
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.BLEND);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const seen = view(), per = scaleNow();
-    const whole = [0, 1, 2].map(j => (low[j] + high[j]) / 2);
-    const own = follows ? extent(shown, shown + 1, moving) : null;
-    const about = own && Number.isFinite(own[0][0]) ? [0, 1, 2].map(j => (own[0][j] + own[1][j]) / 2) : whole;
+    const seen = turned([turn, tilt]), per = scaleNow();
+    const own = follows ? extent([shown], moving, false) : null;
+    // What is in the middle: the mechanism that is followed, or what is in the middle of the first view.
+    const about = own && Number.isFinite(own[0][0]) ? [0, 1, 2].map(j => (own[0][j] + own[1][j]) / 2) :
+      times3(transposed(turned(HOME)), middleSeen);
     const middle = times3(seen, about).map((value, j) => value - (pan[j] ?? 0));
     const depth = 2 * (sizeOf([low, high]) + 4 * radius);
     const scale = [2 * per * ratio / width, 2 * per * ratio / height, -2 / depth];
@@ -258,6 +295,7 @@ const solidPicture = (canvas, scene) => {
       gl.uniform1f(line.alpha, alpha);
       gl.uniform1f(line.width, wide * ratio);
       gl.drawElements(gl.TRIANGLES, lines.count, gl.UNSIGNED_SHORT, 0);
+      for (const name of ["from", "to", "corner"]) gl.disableVertexAttribArray(line[name]);
     };
     common(line);
     gl.uniform3fv(line.shift, [0, 0, 0]);
@@ -290,20 +328,10 @@ const solidPicture = (canvas, scene) => {
     }
     common(solid);
     gl.uniform1f(solid.alpha, 1);
-    for (const {mesh, row, turn: body, offset, rotation, to, tone, length, parameter, value} of solids) {
-      let place = at(shown, row), matrix = rotation;
-      if (to !== null) {
-        const end = at(shown, to), z = unitOf(minus(end, place)), x = unitOf(crossed(farthest(z), z));
-        const longer = Math.hypot(...minus(end, place)) / length;
-        matrix = [...x, ...crossed(z, x), ...z.map(value => longer * value)];
-        place = place.map((value, j) => (value + end[j]) / 2);
-      } else if (body !== null) {
-        const start = 4 * (shown * bodies + body), own = turnOf(rotations.subarray(start, start + 4));
-        matrix = product3(own, rotation);
-        place = place.map((value, j) => value + times3(own, offset)[j]);
-      }
-      if (parameter in sizes) matrix = matrix.map(entry => entry * sizes[parameter] / value);
-      if (!isKnown(place) || !Number.isFinite(matrix[0])) continue;
+    for (const entry of solids) {
+      const found = placedAt(shown, entry), {mesh, tone} = entry;
+      if (!found) continue;
+      const [place, matrix] = found;
       gl.bindBuffer(gl.ARRAY_BUFFER, meshes[mesh].vertices);
       gl.enableVertexAttribArray(solid.position);
       gl.vertexAttribPointer(solid.position, 3, gl.FLOAT, false, 0, 0);
@@ -317,10 +345,9 @@ const solidPicture = (canvas, scene) => {
       gl.drawElements(gl.TRIANGLES, meshes[mesh].count, gl.UNSIGNED_SHORT, 0);
     }
   };
-  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color)}));
   const soon = () => { frame ??= requestAnimationFrame(render); };
   // Pixels of the page for a unit of length.
-  const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth, canvas.clientHeight) / span;
+  const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth / span[0], canvas.clientHeight / span[1]);
 
   const picture = {
     // The positions of a run and of the run before, quaternions of the bodies, and parameters that are sizes.
@@ -337,23 +364,23 @@ const solidPicture = (canvas, scene) => {
         for (let i = 1; i < n; ++i) if (minus(at(i, k), first).some(value => Math.abs(value) > STILL)) return true;
         return false;
       });
-      radius = 0;
-      for (let i = 0; i < n; i += Math.max(1, Math.floor(n / 50))) {
-        const size = sizeOf(extent(i, i + 1, moving));
-        if (Number.isFinite(size)) radius = Math.max(radius, size);
-      }
-      radius ||= sizeOf(extent(0, 1, drawn)) || 1;
+      moves = new Set(moving);
       picture.fit();
     },
+    // The scale is that of the first view, so that it stays as the picture is turned.
     fit() {
-      const whole = extent(0, n, drawn);
+      const home = turned(HOME), rows = follows ? moving : drawn;
+      const whole = extent(some(200), drawn, true);
       if (!Number.isFinite(whole[0][0])) return;
       [low, high] = whole;
-      span = follows ? FOLLOWED * radius : sizeOf(whole) || 1;
+      radius = Math.max(...some(30).map(i => sizeOf(extent([i], moving, false))).filter(Number.isFinite), 0) || sizeOf(whole) || 1;
+      const windows = follows ? some(30).map(i => extent([i], rows, false, home)) : [extent(some(200), rows, true, home)];
+      span = [0, 1].map(j => Math.max(...windows.map(([a, b]) => b[j] - a[j]).filter(Number.isFinite), 1e-3 * radius));
+      middleSeen = [0, 1, 2].map(j => (windows[0][0][j] + windows[0][1][j]) / 2);
       makeGrid();
     },
     travels() {
-      return moving.length > 1 && sizeOf(extent(0, n, moving)) > FAR * radius;
+      return moving.length > 1 && sizeOf(extent(some(200), moving, false)) > FAR * radius;
     },
     follow(on) {
       follows = on;

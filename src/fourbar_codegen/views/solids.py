@@ -205,6 +205,7 @@ def _of_file(path: str, scale: float) -> Mesh:
     trimesh = imported("trimesh", "Meshes of files", "meshes")
     try:
         loaded = trimesh.load_mesh(path_of(path))
+        loaded = getattr(loaded, "smooth_shaded", loaded)  # with sharp edges where faces meet at large angles
     except Exception as error:  # which one depends on the kind of the file
         raise ModelError(f"The mesh {path} cannot be read: {error}.") from error
     faces = np.array(getattr(loaded, "faces", ()), dtype=np.int64)

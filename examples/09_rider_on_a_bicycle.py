@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import symbrim as sb
@@ -103,6 +104,25 @@ def rider_on_a_bicycle() -> System:
     return system
 
 
+def shapes(rider: fb.CompiledModel) -> dict[str, list]:
+    """What the rider looks like: the limbs that are found, in a rider's colours, a trunk and a head."""
+    found = rider.shapes
+    trunk = next(name for name in found if "torso" in name)
+    colors = {"thigh": "blue", "shank": "#d9a98c", "foot": "black", "upper_arm": "red", "forearm": "#d9a98c"}
+    of_limbs = {
+        name: [replace(shape, color=color) for shape in found[name]]
+        for part, color in colors.items()
+        for name in found
+        if name.endswith(part)
+    }
+    body = [
+        fb.Ellipsoid(0.13, 0.19, 0.3, at=(0, 0, -0.02), color="red"),
+        fb.Capsule(0.05, 0.1, at=(0, 0, -0.3), color="#d9a98c"),
+        fb.Ellipsoid(0.1, 0.09, 0.12, at=(0.03, 0, -0.44), color="#d9a98c"),
+    ]
+    return {**of_limbs, trunk.split(" and ")[-1]: body}
+
+
 def main() -> None:
     system = rider_on_a_bicycle()
     begin = time.perf_counter()
@@ -125,6 +145,8 @@ def main() -> None:
     run = rider.simulate((0.0, 4.0), x0, inputs=inputs)
     print(f"4 s in {time.perf_counter() - begin:.3f} s; {run.message}")
     print(f"largest constraint violation {np.abs(run.constraint_residual).max():.1e}")
+    rider.shapes = shapes(rider)
+    run.save("results/rider.html")
     print(f"largest lean angle {np.abs(run['bicycle_q4']).max():.3f} rad, distance {run['bicycle_q1'][-1]:.1f} m")
 
 

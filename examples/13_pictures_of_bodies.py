@@ -98,7 +98,7 @@ def quadcopter() -> Iterator[fb.Trajectory]:
         x, y = places[number]
 
         def thrust(t: float, state: np.ndarray) -> float:
-            psi, theta, phi = (state[place[name]] for name in ("psi", "theta", "phi"))
+            theta, phi = (state[place[name]] for name in ("theta", "phi"))
             w_x, w_y, w_z = (state[place[name]] for name in ("w_x", "w_y", "w_z"))
             lift = 1.2 * 9.81 / 4 - 1.5 * (state[place["z"]] - 1.0) - 1.5 * state[place["v_z"]]
             roll = 0.25 * np.sin(1.5 * t) - phi

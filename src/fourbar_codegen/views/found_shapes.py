@@ -221,10 +221,12 @@ def found_shapes(
     wheels, counts = {*found}, Counter(name for name, *_ in edges)
     masses, inertias = model.mass_properties(0.0, np.zeros(model.n_x), p, np.zeros(model.n_r))
     mass_of = dict(zip(drawing.bodies, np.nan_to_num(masses), strict=True))
-    for name, length, *ends in edges:
+    for link, length, *ends in edges:
+        # Bodies without mass, as in the frames between joints, give a link no name if others do.
+        name = " and ".join(part for part in link.split(" and ") if mass_of.get(part, 1.0)) or link
         if touching.isdisjoint(ends) and all(ends) and name not in wheels:
             radius = ROD * size
-            if counts[name] == 1:  # a limb of a mass has about the density of water
+            if counts[link] == 1:  # a limb of a mass has about the density of water
                 limb = np.sqrt(mass_of.get(name, 0.0) / (DENSITY * np.pi * length))
                 radius = float(np.clip(limb, radius, MOST * radius))
             radius = float(f"{radius:.3g}")

@@ -396,7 +396,13 @@ def scene(
         for line in _outline(positions, _with_center(positions, shape, entries), size, shape.name)
         for a, b in pairwise((*line.rows, *line.rows[: line.is_closed and len(line.rows) > 2]))
     ]
-    shapes = {**found_shapes(model, p, longest, on_ground, edges), **(given or {})}
+    given = given or {}
+    shapes = {
+        name: of_body
+        for name, of_body in found_shapes(model, p, longest, on_ground, edges).items()
+        if given.keys().isdisjoint((name, *name.split(" and ")))
+    }
+    shapes |= given
     fixed = np.repeat(np.eye(3)[np.newaxis, :, :, np.newaxis], positions.shape[2], axis=3)  # to the ground
     return replace(
         found,

@@ -20,7 +20,7 @@ AROUND = 64
 """Segments of the circle of a wheel: its polygon is within 0.12 % of the radius."""
 FEW = 32
 """Segments of round bodies, of which nothing rolls on its edge."""
-ARC = 4
+ARC = 6
 """Segments of a quarter of a circle along a profile."""
 SPOKES = 16
 

@@ -346,7 +346,10 @@ def scene(
         )
     named = positions[: len(model.points)]
     on_ground = () if rotations is None or p is None else contacts(model, p)
-    view = view_of(model, named, in_space=bool(in_space or on_ground or given)) if view is None else view
+    if view is None:
+        view = view_of(model, named, in_space=bool(in_space or on_ground or given))
+        if rotations is not None and view.is_planar and _leave_plane(rotations, view.turn[2]):
+            view = view_of(model, named, in_space=True)
     size, positions = extent(named)[0], view(positions)
     # Of a vehicle that goes far, symbols are as large as the vehicle needs.
     links = [positions[list(shape.points)] for shape in model.layout.drawing.shapes if shape.kind == "link"]
@@ -412,6 +415,15 @@ def scene(
         contacts=tuple(contact.point for contact in on_ground),
         tips=tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1),
     )
+
+
+def _leave_plane(rotations: Floats, normal: Floats) -> bool:
+    """Whether bodies turn about other axes than the normal of a plane."""
+    if not rotations.size:
+        return False
+    of_bodies = np.einsum("bjit,j->bit", rotations, normal)  # the normal in the bodies' axes, which is constant
+    changes = np.abs(of_bodies - of_bodies[:, :, :1])
+    return bool((changes[np.isfinite(changes)] > PLANAR).any())
 
 
 def known_points(model: Kernel, points: Iterable[str]) -> list[str]:

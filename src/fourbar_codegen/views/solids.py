@@ -122,7 +122,10 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
         If a shape names a parameter or a point that does not exist.
     """
     drawing, values = model.layout.drawing, dict(zip(model.parameters, p.tolist(), strict=True))
-    rows = {point.name: row for row, point in reversed([*enumerate(drawing.points)]) if point.name}
+    rows: dict[str, int] = {}
+    for row, point in enumerate(drawing.points):
+        if point.name:
+            rows.setdefault(point.name, row)
     centers = {point.body: row for row, point in enumerate(drawing.points) if point.body}
     ground = next((shape.name for shape in drawing.shapes if shape.kind == ShapeKind.GROUND), "")
     centers.setdefault(ground, 0)  # the fixed point comes first

@@ -1,0 +1,444 @@
+"""Bodies in space: wheels that touch the ground, rods, boxes of mass and inertia, given shapes, glTF, modes."""
+
+import importlib
+import io
+import json
+import pickle
+import struct
+
+import numpy as np
+import pytest
+import sympy as sm
+import sympy.physics.mechanics as me
+from builders.systems import pendulum
+from sympy.physics.mechanics.system import System
+
+import fourbar_codegen as fb
+from fourbar_codegen.body_shapes import KINDS, BodyShape
+from fourbar_codegen.views import meshes
+from fourbar_codegen.views.frames import frames_of
+from fourbar_codegen.views.html_page import quaternions
+
+M, G, L = sm.symbols("m g l")
+
+
+def scene_of(run, times=100, **how):
+    return frames_of(run, lambda start, end: np.linspace(start, end, times), **how).scene
+
+
+def vertices_of(scene, solid):
+    """All vertices of a solid at all instants, shape (n, 3, n_t)."""
+    places, rotations = solid.placed(scene.positions, scene.rotations)
+    return np.einsum("ijt,nj->nit", rotations, solid.mesh.vertices) + places
+
+
+@pytest.fixture(scope="module")
+def bicycle():
+    return fb.compile_model(fb.models.whipple_bicycle())
+
+
+@pytest.fixture(scope="module")
+def disc():
+    return fb.compile_model(fb.models.rolling_disc())
+
+
+def box(size, mass=3.0, axes=None):
+    """A free body with the inertia of a box: m (y^2 + z^2) / 12 and so on."""
+    ground, frame, origin = me.ReferenceFrame("ground"), me.ReferenceFrame("frame"), me.Point("O")
+    angles, turning = me.dynamicsymbols("a b c"), me.dynamicsymbols("u v w")
+    frame.orient_body_fixed(ground, angles, "ZXY")
+    rates = frame.ang_vel_in(ground)
+    frame.set_ang_vel(ground, sum((w * axis for w, axis in zip(turning, frame, strict=True)), me.Vector(0)))
+    origin.set_vel(ground, 0)
+    x, y, z = size
+    inertia = mass / 12 * np.diag([y**2 + z**2, x**2 + z**2, x**2 + y**2])
+    if axes is not None:
+        inertia = axes @ inertia @ axes.T
+    entries = [sm.Float(inertia[i, j]) for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (1, 2), (0, 2))]
+    body = me.RigidBody("satellite", origin, frame, sm.Float(mass), (me.inertia(frame, *entries), origin))
+    system = System(ground, origin)
+    system.add_bodies(body)
+    system.q_ind, system.u_ind = angles, turning
+    system.add_kdes(*(w - rates.dot(axis) for w, axis in zip(turning, frame, strict=True)))
+    return system
+
+
+@pytest.mark.parametrize(
+    ("mesh", "volume", "tolerance"),
+    # The volume of an inscribed prism with n sides is sin(2 pi / n) n / (2 pi) that of the cylinder.
+    [
+        (meshes.box(1.0, 2.0, 3.0), 6.0, 1e-15),
+        (meshes.cylinder(1.0, 2.0), 2.0 * np.pi, 0.01),
+        (meshes.cone(1.0, 3.0), np.pi, 0.01),
+        (meshes.sphere(1.0), 4.0 / 3.0 * np.pi, 0.03),
+        (meshes.ellipsoid(1.0, 2.0, 3.0), 8.0 * np.pi, 0.03),
+        (meshes.capsule(1.0, 2.0), 2.0 * np.pi + 4.0 / 3.0 * np.pi, 0.02),
+        (meshes.torus(2.0, 0.5), np.pi**2, 0.03),
+    ],
+    ids=["box", "cylinder", "cone", "sphere", "ellipsoid", "capsule", "torus"],
+)
+def test_meshes_have_the_volumes_of_their_shapes_and_outward_normals(mesh, volume, tolerance):
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    found = np.einsum("ij,ij->", a, np.cross(b, c)) / 6.0
+    assert volume * (1.0 - tolerance) <= found <= volume * (1.0 + 1e-14)
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1.0, atol=1e-12)
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), mesh.normals[mesh.faces[:, 0]]) > 0.0).all()
+
+
+@pytest.mark.parametrize("lean", [0.0, 0.6])
+def test_wheels_of_a_bicycle_touch_the_ground_where_they_roll(bicycle, lean):
+    """The lowest vertex is at the contact point to a pixel: polygons of 64 sides are within 0.12 % of the radius."""
+    run = bicycle.simulate((0.0, 1.5), bicycle.initial_state(speeds={"u4": lean, "u6": -16.0}))
+    scene = scene_of(run)
+    wheels = [solid for solid in scene.solids if "wheel" in solid.name]
+    assert [solid.name for solid in wheels] == ["rear wheel", "front wheel"]
+    pixel = scene.body_size / 420  # the bicycle fills a picture of 560 x 420
+    for solid, contact, radius in zip(wheels, ("dn", "fn"), (0.3, 0.35), strict=True):
+        corners, touching = vertices_of(scene, solid), scene.positions[scene.names.index(contact)]
+        assert solid.mesh.vertices[:, :2].max() == pytest.approx(radius, rel=1e-12)
+        lowest = corners[:, 2].min(axis=0)
+        assert np.abs(lowest - touching[2]).max() < pixel
+        assert np.abs(touching[2]).max() < 1e-9  # on the ground
+    assert scene.contacts == (scene.names.index("dn"), scene.names.index("fn"))
+    assert set(scene.traced().values()) == {"dn", "fn"}
+
+
+def test_rolling_disc_touches_the_ground_and_turns_with_its_angle(disc):
+    run = disc.simulate((0.0, 3.0))
+    scene = scene_of(run)
+    [solid] = scene.solids
+    [contact] = scene.contacts
+    corners = vertices_of(scene, solid)
+    assert np.abs(corners[:, 2].min(axis=0) - scene.positions[contact, 2]).max() < 0.26 / 200
+    distance = np.linalg.norm(corners - scene.positions[contact], axis=1).min(axis=0)
+    assert distance.max() < np.pi / 64 * 0.26 + 0.26 / 200  # half a side of the polygon
+
+
+def test_wheels_have_the_radius_that_is_a_parameter(bicycle, disc):
+    assert bicycle.shapes["front wheel"] == (fb.Wheel("rf", at="fo", axis=(0.0, 1.0, 0.0)),)
+    assert bicycle.shapes["rear wheel"] == (fb.Wheel("rr", at="do", axis=(0.0, 1.0, 0.0)),)
+    [shape] = disc.shapes["disc"]
+    assert isinstance(shape, fb.Disc)
+    assert shape.radius == "r"
+    longer = {"rf": 0.4}
+    run = bicycle.simulate((0.0, 0.1), bicycle.initial_state(parameters=longer), parameters=longer)
+    [wheel] = [solid for solid in scene_of(run, 3).solids if solid.name == "front wheel"]
+    assert wheel.mesh.vertices[:, 0].max() == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize("make", [fb.models.four_bar, fb.models.slider_crank, lambda: fb.models.chain(3)])
+def test_pins_are_no_wheels_and_planar_mechanisms_stay_drawings(make):
+    """The end of a crank has a constant distance from its pin, but is not the lowest point of a wheel."""
+    model = make()
+    run = fb.compile_model(model).simulate((0.0, 0.1))
+    scene = scene_of(run, 3)
+    assert scene.is_planar
+    assert not scene.solids
+    scene = scene_of(run, 3, in_space=True)
+    assert not scene.contacts
+    assert not any(isinstance(shape, fb.Wheel | fb.Disc) for of_body in scene.shapes.values() for shape in of_body)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_body_without_extent_is_the_box_of_its_mass_and_inertia(turned):
+    angle = 0.4
+    axes = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1.0]])
+    model = fb.compile_model(fb.Model(box((0.3, 0.8, 1.5), axes=axes if turned else None), name=f"satellite{turned:d}"))
+    [shape] = model.shapes["satellite"]
+    assert isinstance(shape, fb.Box)
+    assert sorted((shape.x, shape.y, shape.z)) == pytest.approx([0.3, 0.8, 1.5], rel=1e-9)
+    run = model.simulate((0.0, 1.0), [0.0, 0.0, 0.0, 0.1, 3.0, 0.2])
+    scene = scene_of(run, 2)
+    [solid] = scene.solids
+    corners = vertices_of(scene, solid)[..., 0]
+    # The second moments of a box about its centre, from its corners: a third of those of its corners.
+    moments = scene.view.turn.T @ (corners.T @ corners / len(corners) / 3.0) @ scene.view.turn
+    inertia = 3.0 * (np.trace(moments) * np.eye(3) - moments)
+    expected = 3.0 / 12 * np.diag([0.8**2 + 1.5**2, 0.3**2 + 1.5**2, 0.3**2 + 0.8**2])
+    np.testing.assert_allclose(inertia, axes @ expected @ axes.T if turned else expected, rtol=1e-9, atol=1e-12)
+
+
+def test_orientations_and_masses_are_those_of_sympy(bicycle):
+    model = fb.models.whipple_bicycle()
+    q = np.linspace(-0.4, 0.5, bicycle.n_q)
+    x = np.concatenate((q, np.zeros(bicycle.n_u)))
+    rotations = bicycle.kernel.orientations_along([0.0], x[:, np.newaxis], np.zeros((0, 1)))[..., 0]
+    masses, inertias = bicycle.kernel.mass_properties(0.0, x)
+    values = dict(zip((*model.system.q_ind, *model.system.q_dep), q, strict=True))
+    numbers = {symbol: parameter.value for symbol, parameter in model.parameter_symbols.items()}
+    assert bicycle.layout.drawing.bodies == tuple(body.name for body in model.system.bodies)
+    for body, rotation, mass, inertia in zip(model.system.bodies, rotations, masses, inertias, strict=True):
+        expected = np.array(body.frame.dcm(model.system.frame).T.subs(values).evalf(), dtype=float)
+        np.testing.assert_allclose(rotation, expected, atol=1e-14)
+        assert mass == float(body.mass.subs(numbers))
+        dyadic = body.central_inertia.to_matrix(body.frame).subs(values).subs(numbers).evalf()
+        np.testing.assert_allclose(inertia, np.array(dyadic, dtype=float), atol=1e-13)
+
+
+def test_quaternions_are_those_of_the_matrices():
+    angle = 0.7
+    turn = np.array([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0], [0.0, 0.0, 1.0]])
+    matrices = np.stack((turn, np.full((3, 3), np.nan)), axis=2)[np.newaxis]
+    found = quaternions(matrices)
+    np.testing.assert_allclose(found[0, 0], [0.0, 0.0, np.sin(angle / 2), np.cos(angle / 2)], atol=1e-15)
+    assert np.isnan(found[1]).all()
+
+
+def test_pictures_need_no_derivatives(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    model = fb.compile_model(fb.Model(pendulum(), name="plain", parameters={M: 1.0, G: 9.81, L: 1.0}))
+    assert model.lacks_drawing
+    model.simulate((0.0, 1.0), [0.3, 0.0]).save(tmp_path / "run.html")
+    assert model.lacks_derivatives
+    assert not model.lacks_drawing
+    model.jacobian(0.0, [0.3, 0.0])
+    assert not model.lacks_derivatives
+
+
+def test_shapes_compile_nothing_and_replace_those_that_are_found(monkeypatch, tmp_path):
+    monkeypatch.setenv("FOURBAR_CODEGEN_CACHE", str(tmp_path / "cache"))
+    plain = fb.compile_model(fb.Model(box((0.3, 0.8, 1.5)), name="shaped"))
+    entries = sorted(path.name for path in (tmp_path / "cache").iterdir())
+    system = box((0.3, 0.8, 1.5))
+    [body] = system.bodies
+    shapes = {body: [fb.Sphere(0.2, color="red"), fb.Cone(0.1, 0.3, axis=(1, 0, 0))], "ground": fb.Plane(2)}
+    shaped = fb.compile_model(fb.Model(system, name="shaped", shapes=shapes))
+    assert sorted(path.name for path in (tmp_path / "cache").iterdir()) == entries
+    assert plain.layout.fingerprint == shaped.layout.fingerprint
+    assert shaped.shapes["satellite"] == tuple(shapes[body])
+    assert isinstance(plain.shapes["satellite"][0], fb.Box)
+    again = pickle.loads(pickle.dumps(shaped))
+    assert again.shapes == shaped.shapes
+    run = shaped.simulate((0.0, 0.5), [0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+    assert [solid.name for solid in scene_of(run, 2).solids] == ["satellite", "satellite", "ground"]
+    assert [solid.name for solid in scene_of(run, 2, shapes={"satellite": []}).solids] == ["ground"]
+    shaped.shapes = {"satellite": fb.Box(1, 1, 1)}
+    assert shaped.shapes["satellite"] == (fb.Box(1, 1, 1),)
+    module = fb.load(
+        fb.build_model(
+            fb.Model(box((0.3, 0.8, 1.5)), name="shipped", shapes={"satellite": fb.Sphere(0.5)}), tmp_path / "shipped"
+        )
+    )
+    assert module.shapes["satellite"] == (fb.Sphere(0.5),)
+
+
+def test_frames_and_parameters_give_shapes_their_place_and_size():
+    """A flywheel in a frame that no body has, as large as a parameter."""
+    system = box((0.3, 0.8, 1.5))
+    [body] = system.bodies
+    spun = body.frame.orientnew("spun", "Axis", (sm.Symbol("tilt"), body.frame.x))
+    nose = body.masscenter.locatenew("nose", sm.Symbol("arm") * spun.z)
+    model = fb.Model(
+        system,
+        name="flywheel",
+        points=[nose],
+        parameters={"tilt": 0.5, "arm": 2.0},
+        shapes={"satellite": fb.Sphere("arm"), "spun": fb.Disc(0.4, 0.1, at="nose")},
+    )
+    compiled = fb.compile_model(model)
+    run = compiled.simulate((0.0, 0.1), [0.0, 0.0, 0.0, 1.0, 0.0, 0.0], parameters={"arm": 3.0})
+    scene = scene_of(run, 2)
+    ball, wheel = scene.solids
+    assert np.linalg.norm(ball.mesh.vertices, axis=1).max() == pytest.approx(3.0)
+    _, rotations = wheel.placed(scene.positions, scene.rotations)
+    normal = scene.view.turn.T @ rotations[:, 2, 0]
+    np.testing.assert_allclose(normal, [0.0, -np.sin(0.5), np.cos(0.5)], atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: fb.Sphere(-1.0), "The radius of a Sphere is a number that is not negative"),
+        (lambda: fb.Sphere(float("nan")), "radius of a Sphere"),
+        (lambda: fb.Box(1, 2, 3, at=(0, 0)), "at of a Box is a point or three coordinates"),
+        (lambda: fb.Cylinder(1, 2, axis=(0, 0, 0)), "axis of a Cylinder is a direction"),
+        (lambda: fb.Cone(1, 2, color="reddish"), "A colour is #rrggbb or one of black, white"),
+        (lambda: fb.Line(points=("A",), radius=0.1), "points of a Line are two names or more"),
+    ],
+)
+def test_shapes_that_are_none_are_refused(make, message):
+    with pytest.raises(fb.ModelError, match=message):
+        make()
+
+
+def test_shapes_of_unknown_bodies_points_and_parameters_are_refused(bicycle, tmp_path):
+    run = bicycle.simulate((0.0, 0.1))
+    for shapes, message in (
+        ({"saddle": fb.Sphere(1)}, "There is no body or frame 'saddle'. There are rear frame"),
+        ({"rear frame": 3}, "The shape of rear frame is one of Arrow, Box"),
+        ({"rear frame": fb.Sphere("radius")}, "A shape has the size radius, which is no parameter; there are rr, rf"),
+        ({"rear frame": fb.Sphere(1, at="hub")}, "A shape names a point hub, which is not drawn; there are O, dn"),
+        ({"rear frame": fb.Mesh(str(tmp_path / "no.stl"))}, "no.stl cannot be read"),
+        ([fb.Sphere(1)], "shapes= is a mapping of bodies to shapes"),
+    ):
+        with pytest.raises(fb.ModelError, match=message):
+            run.report(shapes=shapes)
+    with pytest.raises(fb.ModelError, match="There is no body or frame 'saddle'"):
+        bicycle.shapes = {"saddle": fb.Sphere(1)}
+    with pytest.raises(fb.ModelError, match="There is no body or frame 'x'"):
+        fb.Model(pendulum(), shapes={"x": fb.Sphere(1)})
+
+
+def test_shapes_are_data_of_json():
+    for kind in KINDS.values():
+        needed = {"Line": {"points": ("A", "B")}, "Mesh": {"path": "a.stl"}}.get(kind.__name__, {})
+        shape = kind(**dict.fromkeys(kind.sizes, 1.0), **needed, at=(1, "l", 2.5), color="#102030")
+        assert BodyShape.from_data(json.loads(json.dumps(shape.as_data()))) == shape
+        assert eval(repr(shape), vars(importlib.import_module("fourbar_codegen.body_shapes"))) == shape
+
+
+def test_mesh_of_a_file_is_drawn_in_its_scale(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    trimesh.creation.box((100.0, 200.0, 300.0)).export(tmp_path / "part.stl")
+    model = fb.compile_model(fb.Model(box((0.3, 0.8, 1.5)), name="meshed"))
+    run = model.simulate((0.0, 0.1), [0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+    [solid] = scene_of(run, 2, shapes={"satellite": fb.Mesh(str(tmp_path / "part.stl"), 0.001)}).solids
+    np.testing.assert_allclose(
+        np.ptp(solid.mesh.vertices, axis=0), [0.1, 0.2, 0.3], rtol=1e-6
+    )  # STL has single precision
+
+
+def animated(gltf, blob, node, path):
+    """The values of an animation of a node."""
+    for animation in gltf.get("animations", ()):
+        for channel in animation["channels"]:
+            if channel["target"] == {"node": node, "path": path}:
+                accessor = gltf["accessors"][animation["samplers"][channel["sampler"]]["output"]]
+                view = gltf["bufferViews"][accessor["bufferView"]]
+                start, n = view.get("byteOffset", 0), {"VEC3": 3, "VEC4": 4, "SCALAR": 1}[accessor["type"]]
+                values = np.frombuffer(blob, "<f4", accessor["count"] * n, start)
+                return values.reshape(-1, n)
+    return None
+
+
+@pytest.mark.parametrize("make", [fb.models.whipple_bicycle, fb.models.four_bar])
+def test_gltf_has_the_points_and_bodies_where_they_are(make, tmp_path):
+    """Positions equal `positions` to 1e-6 of the mechanism, in single precision; read by hand and by trimesh."""
+    trimesh = pytest.importorskip("trimesh")
+    model = fb.compile_model(make())
+    run = model.simulate((0.0, 1.0), dense_output=True)
+    content = run.save(tmp_path / "run.glb").read_bytes()
+    magic, version, length = struct.unpack("<4sII", content[:12])
+    assert (magic, version, length) == (b"glTF", 2, len(content))
+    size = struct.unpack("<I", content[12:16])[0]
+    gltf, blob = json.loads(content[20 : 20 + size]), content[28 + size :]
+    times = np.linspace(0.0, 1.0, 61)
+    for number, node in enumerate(gltf["nodes"]):
+        if node["name"] in model.points and "mesh" not in node:
+            path = animated(gltf, blob, number, "translation")
+            path = np.repeat([node["translation"]], 61, axis=0) if path is None else path
+            expected = [model.positions(t, run.sol(t)[: model.n_q])[node["name"]] for t in times]
+            np.testing.assert_allclose(path, expected, atol=1e-6 * max(1.0, np.abs(expected).max()))
+    scene = trimesh.load(io.BytesIO(content), file_type="glb")
+    assert len(scene.geometry) == len(frames_of(run, lambda a, b: np.array([a, b]), in_space=True).scene.solids)
+    if model.name == "whipple_bicycle":  # y points upwards there, and the lowest points are on the ground
+        assert scene.bounds[0][1] == pytest.approx(0.0, abs=1e-3)
+    text = json.loads(run.save(tmp_path / "run.gltf").read_text())
+    assert text["buffers"][0]["uri"].startswith("data:")
+
+
+def test_gltf_without_its_package_is_refused(bicycle, monkeypatch, tmp_path):
+    monkeypatch.setitem(__import__("sys").modules, "pygltflib", None)
+    with pytest.raises(fb.ModelError, match=r"glTF files need pygltflib: pip install 'fourbar_codegen\[meshes\]'"):
+        bicycle.simulate((0.0, 0.1)).save(tmp_path / "run.glb")
+    assert not list(tmp_path.iterdir())
+
+
+def test_modes_of_a_bicycle_are_weave_capsize_and_castering(bicycle):
+    """The eigenvalues at 5 m/s of Meijaard, Papadopoulos, Ruina and Schwab 2007, table 2."""
+    linear = bicycle.linearize(0.0, bicycle.initial_state())
+    weave, weave_too, capsize, castering = (
+        linear.eigenvalues[np.argmin(np.abs(linear.eigenvalues - value))]
+        for value in (-0.775 + 4.465j, -0.775 - 4.465j, -0.322, -14.08)
+    )
+    assert weave == pytest.approx(-0.77534188219585 + 4.46486771378823j, abs=1e-11)
+    assert weave_too == pytest.approx(weave.conjugate(), abs=1e-12)
+    assert capsize == pytest.approx(-0.32286642900409, abs=1e-11)
+    assert castering == pytest.approx(-14.07838969279822, abs=1e-11)
+    assert (np.diff(linear.eigenvalues.real) <= 1e-9).all()
+
+
+def test_motion_along_a_mode_is_that_of_the_nonlinear_equations_to_second_order(bicycle):
+    """From the same state, the difference to a run falls at least with the square of the amplitude."""
+    linear = bicycle.linearize(0.0, bicycle.initial_state())
+    number = int(np.argmax(linear.eigenvalues.imag))
+    errors = []
+    for amplitude in (0.02, 0.01):
+        mode = linear.mode(number, amplitude=amplitude, duration=0.5)
+        leaning = mode["q4"]
+        assert np.abs(mode.q - mode.q[:, :1])[[3, 5]].max() > 0.0
+        start = bicycle.initial_state(
+            {name: mode[name][0] for name in bicycle.coordinates[:7]},
+            {name: mode[name][0] for name in ("u4", "u6", "u7")},
+        )
+        run = bicycle.simulate((0.0, 0.5), start, t_eval=mode.t, rtol=1e-11, atol=1e-13)
+        errors.append(np.abs(run["q4"] - leaning).max())
+    assert errors[0] < 0.02 * 0.02
+    assert errors[0] / errors[1] > 3.9
+    with pytest.raises(fb.ModelError, match="There are modes 0 to 9, not 10"):
+        linear.mode(10)
+    with pytest.raises(fb.ModelError, match="amplitude"):
+        linear.mode(0, amplitude=0.0)
+
+
+def test_animations_and_frames_in_space_are_drawn(bicycle, tmp_path):
+    run = bicycle.simulate((0.0, 0.2))
+    linear = bicycle.linearize(0.0, bicycle.initial_state())
+    for animation in (run.animate(), linear.animate(0, duration=0.2, fps=10)):
+        animation._init_draw()
+        animation._draw_frame(1)
+        [collection] = animation._fig.axes[0].collections
+        corners = np.array([path.vertices for path in collection.get_paths()])
+        assert len(corners) > 500
+        assert len({tuple(color) for color in collection.get_facecolor()}) > 20  # shaded
+    figure = run.plot_frames([0.0, 0.1])
+    assert [axes.get_title() for axes in figure.axes] == ["t = 0 s", "t = 0.1 s"]
+    figure.savefig(tmp_path / "frames.svg")
+    assert (tmp_path / "frames.svg").read_text().count("<path") > 1000
+    for times in ([0.3], [], [[0.0]]):
+        with pytest.raises(fb.ModelError, match="times are"):
+            run.plot_frames(times)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_report_in_space_is_drawn_by_webgl_and_turned_by_pointer_and_keys(bicycle, browser, tmp_path, scheme):
+    path = bicycle.simulate((0.0, 1.0)).save(tmp_path / "run.html")
+    page = browser.new_page(color_scheme=scheme)
+    errors = []
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.on("console", lambda message: errors.append(message.text))
+    page.goto(path.as_uri())
+    canvas = page.locator("canvas#mechanism")
+    canvas.wait_for()
+    page.wait_for_timeout(200)
+    seen = [canvas.screenshot()]
+    for act in (
+        lambda: page.get_by_role("button", name="Top").click(),
+        lambda: page.get_by_role("button", name="Home").click(),
+        lambda: (canvas.focus(), page.keyboard.press("ArrowLeft")),
+        lambda: page.keyboard.press("+"),
+        lambda: page.keyboard.press("Shift+ArrowUp"),
+        lambda: page.keyboard.press("2"),
+        lambda: (canvas.hover(), page.mouse.down(), page.mouse.move(300, 300), page.mouse.up()),
+        lambda: page.mouse.wheel(0, -200),
+        lambda: page.evaluate("controls.show(60)"),
+    ):
+        act()
+        page.wait_for_timeout(150)
+        seen.append(canvas.screenshot())
+    assert seen[2] == seen[0]  # at home again
+    assert len({*seen}) == len(seen) - 1
+    # Screenshots read the picture back, of which the driver complains.
+    assert [error for error in errors if "ReadPixels" not in error] == []
+    page.close()
+
+
+@pytest.mark.slow
+def test_report_without_webgl_shows_lines(bicycle, browser, tmp_path):
+    path = bicycle.simulate((0.0, 1.0)).save(tmp_path / "run.html")
+    page = browser.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(path.as_uri())
+    assert page.locator("svg#mechanism polyline.link").count() >= 3
+    page.close()

@@ -146,7 +146,7 @@ def main() -> None:
     print(f"4 s in {time.perf_counter() - begin:.3f} s; {run.message}")
     print(f"largest constraint violation {np.abs(run.constraint_residual).max():.1e}")
     rider.shapes = shapes(rider)
-    run.save("results/rider.html")
+    print(run.save("results/rider.html"))
     print(f"largest lean angle {np.abs(run['bicycle_q4']).max():.3f} rad, distance {run['bicycle_q1'][-1]:.1f} m")
 
 

@@ -134,3 +134,12 @@ def test_example_of_mechanisms_prints_the_known_numbers_of_branches(said):
     assert [branches[name] for name in ("crank_rocker", "slider_crank", "quick_return", "peaucellier", "hoeken")] == [
         "2", "2", "2", "4", "2",
     ]  # fmt: skip
+
+
+def test_example_of_pictures_has_a_top_that_precesses_steadily_and_a_stone_that_turns_back(said):
+    text = said("13_pictures_of_bodies")
+    found, expected = map(float, re.search(r"precession (\S+) rad/s, by its equation (\S+)", text).groups())
+    assert found == pytest.approx(expected, rel=1e-4)
+    first, later = map(float, re.search(r"turns at (\S+) rad/s, later at (\S+) rad/s", text).groups())
+    assert first < 0.0 < later
+    assert text.count("results/") == 18

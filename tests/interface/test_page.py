@@ -12,7 +12,7 @@ import sympy.physics.mechanics as me
 from builders.systems import pendulum
 from click.testing import CliRunner
 from harness import PROJECT
-from harness.programs import prepare_zig, require
+from harness.programs import complaints, prepare_zig, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.building import compiler
@@ -47,7 +47,7 @@ def opened(browser, tmp_path):
         path.write_text(made.text, encoding="utf-8")
         page = browser.new_page(**how)
         pages.append(page)
-        page.on("console", lambda message: noted.append(message.text))
+        page.on("console", lambda message: noted.extend(complaints(message.text)))
         page.on("pageerror", lambda error: noted.append(str(error)))
         page.on("request", lambda request: noted.append(request.url) if request.url[:5] != "blob:" else None)
         page.goto(path.as_uri() + link)

@@ -12,7 +12,7 @@ import sympy.physics.mechanics as me
 from builders.prescribed import driven_slider_crank
 from builders.systems import pendulum
 from click.testing import CliRunner
-from harness.programs import require
+from harness.programs import complaints, require
 
 import fourbar_codegen as fb
 from fourbar_codegen.cli import main
@@ -270,10 +270,12 @@ def opened(browser, tmp_path):
     """Opens a trajectory's report from disk; what the page complains of or asks for is noted."""
     noted = []
 
-    def open_report(trajectory, **how):
+    def open_report(trajectory, *, has_webgl=True, **how):
         path = trajectory.save(tmp_path / "run.html")
         page = browser.new_page(**how)
-        page.on("console", lambda message: noted.append(message.text))
+        if not has_webgl:
+            page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+        page.on("console", lambda message: noted.extend(complaints(message.text)))
         page.on("pageerror", lambda error: noted.append(str(error)))
         page.on("request", lambda request: noted.append(request.url))
         page.goto(path.as_uri())
@@ -383,7 +385,7 @@ def test_report_by_keyboard_on_a_phone_scrubs_and_fits_the_window(opened, trajec
 def test_report_of_a_spatial_mechanism_turns_by_the_mouse(opened):
     bicycle = fb.compile_model(fb.models.whipple_bicycle())
     x0 = bicycle.initial_state({"q4": 0.1}, {"u6": -15.0})
-    page = opened(bicycle.simulate((0.0, 1.0), x0))
+    page = opened(bicycle.simulate((0.0, 1.0), x0), has_webgl=False)  # lines, then
     before = center(page, "fo")
     box = page.locator("#mechanism").bounding_box()
     page.mouse.move(box["x"] + 100, box["y"] + 100)

@@ -206,7 +206,7 @@ def test_plot_of_members_that_differ_in_several_parameters_has_percentiles(four_
     varied = {"k": np.linspace(1.0, 200.0, 40), "c": np.linspace(0.0, 10.0, 40)}
     ensemble = four_bar.ensemble((0.0, 4.0), parameters=varied, t_eval=np.linspace(0.0, 4.0, 81))
     figure = ensemble.plot(["q1", "energy"])
-    assert [axes.get_title(loc="left") for axes in figure.axes] == ["q1", "energy"]
+    assert [axes.get_title(loc="left") for axes in figure.axes] == ["q1 (rad)", "energy (J)"]
     median = next(line for line in figure.axes[0].lines if line.get_label() == "median")
     np.testing.assert_array_equal(median.get_ydata(), np.nanmedian(ensemble["q1"], axis=0))
     with pytest.raises(fb.ModelError, match="P2 is not a scalar"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import io
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,11 +17,11 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import name_of, positive
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
-from fourbar_codegen.views.frames import equal_times, frames_of
+from fourbar_codegen.views.frames import Frames, equal_times, frames_of
 from fourbar_codegen.views.model_shapes import ShapesLike
 from fourbar_codegen.views.panels import Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
-from fourbar_codegen.views.shaded import CAMERA, draw_solids, ground_lines, seen_obliquely
+from fourbar_codegen.views.shaded import Stroke, draw_solids, draw_solids_in_space, ground, seen_obliquely
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
@@ -92,6 +93,14 @@ TRACE_RATE = 500.0
 
 SMOOTH = 401
 """Number of states with which a curve looks smooth."""
+
+TRACE = "tab:red"
+
+LOOKS = {
+    "link": ("0.25", 3.0), "line": ("0.25", 1.5), "actuator": ("tab:red", 2.5), "spring": ("tab:green", 1.5),
+    "damper": ("tab:green", 1.5), "arrow": ("tab:orange", 2.0),
+}  # fmt: skip
+"""Colours and widths of lines among bodies."""
 
 IN_SPACE = ("spring", "damper")
 """Symbols beside bodies with shapes."""
@@ -522,23 +531,27 @@ def _figure(panels: int, view: View) -> tuple[Figure, list[Any]]:
     return figure, axes
 
 
+def _styled(drawn: Scene, arrows: Mapping[int, int] | None = None) -> list[tuple[str, Floats]]:
+    """Lines of a scene: their style, and points of shape (3, n_points, n_t)."""
+    shown = [line for line in drawn.lines if not (drawn.solids and line.kind == "link")]
+    found = [
+        (line.kind, np.moveaxis(drawn.positions[[*line.rows, *line.rows[: line.is_closed]]], 0, 1)) for line in shown
+    ]
+    for symbol in drawn.symbols:
+        if not drawn.solids or symbol.kind in IN_SPACE:
+            outline = drawn.outline(symbol) if symbol.outline else drawn.positions[symbol.at][:, None]
+            found.append((symbol.kind, outline))
+    return found + [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
+
+
 def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> Callable[[int], None]:
     """Draw the mechanism at the first instant, and return a function that shows it at another."""
-    dimensions = len(drawn.view.axes)
-    shown_lines = [line for line in drawn.lines if not (drawn.solids and line.kind == "link")]
-    styled = [(line.kind, drawn.positions[[*line.rows, *line.rows[: line.is_closed]]]) for line in shown_lines]
-    styled = [(kind, np.moveaxis(points, 0, 1)) for kind, points in styled]
-    for symbol in drawn.symbols:
-        if drawn.solids and symbol.kind not in IN_SPACE:
-            continue
-        styled.append((symbol.kind, drawn.outline(symbol) if symbol.outline else drawn.positions[symbol.at][:, None]))
-    styled += [("arrow", np.moveaxis(drawn.positions[[*ends]], 0, 1)) for ends in (arrows or {}).items()]
+    dimensions, styled = len(drawn.view.axes), _styled(drawn, arrows)
     lines = [axes.plot(*points[:dimensions, :, 0], **STYLES[kind])[0] for kind, points in styled]
-    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar and not drawn.solids]
+    areas = [line for line in drawn.lines if line.is_closed and drawn.is_planar]
     corners = [drawn.positions[list(area.rows), :2] for area in areas]
     filled = [axes.fill(*points[:, :, 0].T, color="0.25", alpha=0.2)[0] for points in corners]
-
-    show_solids = draw_solids(axes, drawn) if drawn.solids else None
+    show_solids = draw_solids_in_space(axes, drawn) if drawn.solids else None
 
     def show(instant: int) -> None:
         if show_solids is not None:
@@ -549,6 +562,82 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
             area.set_xy(points[:, :, instant])
 
     return show
+
+
+def _draw_frames(
+    cells: Sequence[Any], drawn: Frames, traces: Mapping[str, Floats], shape: Floats | None = None
+) -> tuple[Callable[[int, int], None], Floats]:
+    """Draw a run without axes, in a plane or as seen from above the side.
+
+    Parameters
+    ----------
+    cells : sequence of matplotlib.axes.Axes
+    drawn : Frames
+    traces : mapping of name to ndarray, shape (3, n)
+        Paths of points in the inertial frame.
+    shape : ndarray, shape (2,), optional
+        Width and height of the axes, which the window has then.
+
+    Returns
+    -------
+    callable
+        Shows an instant, by its number, in one of the cells.
+    ndarray, shape (2,)
+        Half of the sizes of the window, m.
+    """
+    scene = drawn.scene
+    seen = scene if scene.is_planar else seen_obliquely(scene)
+    middle, half = _window_of(drawn)
+    if shape is not None:
+        half = shape * np.max(half / shape)
+    paths = [seen.view(path) for path in traces.values()]
+    movers: list[Callable[[int], None]] = []
+    for axes in cells:
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        if scene.is_planar:
+            for path in paths:
+                axes.plot(*path[:2], color=TRACE, linewidth=1.0, zorder=1)
+            movers.append(_draw(axes, seen, drawn.arrows))
+        else:
+            movers.append(
+                _draw_obliquely(axes, seen, drawn, [Stroke(path, TRACE, 1.2) for path in paths], middle, half)
+            )
+
+    def show(cell: int, instant: int) -> None:
+        movers[cell](instant)
+        cells[cell].set_xlim(*(middle[0, instant] + half[0] * ENDS))
+        cells[cell].set_ylim(*(middle[1, instant] + half[1] * ENDS))
+
+    return show, half
+
+
+def _draw_obliquely(
+    axes: Any, seen: Scene, drawn: Frames, paths: Sequence[Stroke], middle: Floats, half: Floats
+) -> Callable[[int], None]:
+    """Draw bodies and lines with a depth buffer; returns a function that shows an instant."""
+    still, styled = [*ground(drawn.scene), *paths], _styled(seen, drawn.arrows)
+
+    def strokes(instant: int) -> list[Stroke]:
+        moving = [Stroke(points[:, :, instant], *LOOKS[kind]) for kind, points in styled if kind in LOOKS]
+        heads = [stroke for stroke in moving if stroke.color == LOOKS["arrow"][0] and stroke.points.shape[1] == 2]
+        return [*still, *moving, *(replace(stroke, points=_head(stroke.points, half.max())) for stroke in heads)]
+
+    show = draw_solids(axes, seen, strokes)
+    return lambda instant: show(instant, middle[:, instant], half)
+
+
+def _head(ends: Floats, size: float) -> Floats:
+    """The head of an arrow from one end to the other, shape (3, 3)."""
+    way = ends[:, 1] - ends[:, 0]
+    length = float(np.hypot(*way[:2]))
+    if not length > 0.0:
+        return np.full((3, 3), np.nan)
+    along = np.array([*way[:2], 0.0]) / length
+    across, back = np.array([-along[1], along[0], 0.0]), min(0.3 * length, 0.05 * size)
+    return np.transpose(
+        [ends[:, 1] + back * (sign * 0.5 * across - along) if sign else ends[:, 1] for sign in (-1, 0, 1)]
+    )
 
 
 def plot_frames(
@@ -587,18 +676,11 @@ def plot_frames(
     if outside.size:
         raise ModelError(f"times are between {first:g} and {last:g} s, where the run is, not {outside[0]:g}.")
     drawn = frames_of(trajectory, lambda _, __: at, shapes)
-    grid, seen = ground_lines(drawn.scene), drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
-    middle, half = _window(seen, [*chain(*drawn.arrows.items())], follows=not drawn.scene.is_planar)
-    figure, cells = _figure(len(at), seen.view)
+    figure, cells = _figure(len(at), replace(drawn.scene.view, is_planar=True))
+    show, _ = _draw_frames(cells, drawn, {})
     for number, axes in enumerate(cells):
-        for ends in grid @ CAMERA.T:
-            axes.plot(*ends.T[:2], color="0.85", linewidth=0.8, zorder=0)
-        _draw(axes, seen, drawn.arrows)(number)
+        show(number, number)
         axes.set_title(f"t = {at[number]:g} s", fontsize="small")
-        axes.set_xlim(*(middle[0, number] + half[0] * ENDS))
-        axes.set_ylim(*(middle[1, number] + half[1] * ENDS))
-        axes.set_aspect("equal")
-        axes.set_axis_off()
     figure.suptitle(trajectory.kernel.name)
     return figure
 
@@ -655,28 +737,22 @@ def animate(
     if n > MAX_FRAMES:
         raise ModelError(f"The animation would have {n:.0f} frames, more than {MAX_FRAMES}: use a larger speed.")
     drawn = frames_of(trajectory, lambda start, end: equal_times(start, end, fps / speed), shapes)
-    grid, seen = ground_lines(drawn.scene), drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
-    middle, half = _window(seen, [*chain(*drawn.arrows.items())], follows=not drawn.scene.is_planar)
-    figure = figures.Figure(figsize=(6.0, 6.0 * np.clip(half[1] / half[0], 0.4, 1.5)))  # as high as needed
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    axes.set_aspect("equal", adjustable="datalim")
-    axes.set_axis_off()
-    for ends in grid @ CAMERA.T:
-        axes.plot(*ends.T[:2], color="0.85", linewidth=0.8, zorder=0)
     traced = drawn.scene.traced().values() if chosen is None else chosen
+    paths: dict[str, Floats] = {}
     if traced:
         start, end = trajectory.t[0], trajectory.t[-1]
         rate = min(TRACE_RATE, MAX_FRAMES / abs(end - start)) if start != end else TRACE_RATE
         finer = trajectory.resample(equal_times(start, end, rate)).points
-        for name in traced:
-            axes.plot(*seen.view(finer[name])[:2], color="tab:red", linewidth=1.0, zorder=1)
-    move = _draw(axes, seen, drawn.arrows)
+        paths = {name: finer[name] for name in traced}
+    figure = figures.Figure(figsize=(6.0, 6.0))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    _, half = _window_of(drawn)
+    figure.set_figheight(6.0 * np.clip(half[1] / half[0], 0.4, 1.5))  # as high as needed
+    move, _ = _draw_frames([axes], drawn, paths, figure.get_size_inches())
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
     def show(frame: int) -> None:
-        move(frame)
-        axes.set_xlim(*(middle[0, frame] + half[0] * ENDS))
-        axes.set_ylim(*(middle[1, frame] + half[1] * ENDS))
+        move(0, frame)
         time.set_text(f"t = {drawn.shown.t[frame]:.2f} s")
 
     show(0)
@@ -706,8 +782,12 @@ def animate_mode(linear: Linearization, number: int, **how: Any) -> FuncAnimatio
     return animate(linear.mode(number, **of_mode), **how)
 
 
-def _window(seen: Scene, tips: Sequence[int], *, follows: bool) -> tuple[Floats, Floats]:
-    """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); it follows what goes far, if it may."""
+def _window_of(drawn: Frames) -> tuple[Floats, Floats]:
+    """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); in space it follows what goes far."""
+    seen, tips = drawn.scene, [*chain(*drawn.arrows.items())]
+    follows = not seen.is_planar
+    if follows:
+        seen = seen_obliquely(seen)
     low, high = seen.limits([row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
     ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
     size, largest = (ends[1] - ends[0])[:2], np.nanmax(high - low, axis=1)[:2]

@@ -263,9 +263,10 @@ class Scene:
         points = self.positions[self.shown if rows is None else list(rows)]
         low, high = [*points], [*points]
         for solid in self.solids:
-            places, _ = solid.placed(self.positions, self.rotations)
-            low.append(places - solid.reach)
-            high.append(places + solid.reach)
+            places, rotations = solid.placed(self.positions, self.rotations)
+            corners = np.einsum("ijt,nj->nit", rotations, solid.corners) + places
+            low += [*corners]
+            high += [*corners]
         with warnings.catch_warnings():  # instants at which nothing has a place
             warnings.simplefilter("ignore", RuntimeWarning)
             return np.nanmin(low, axis=0), np.nanmax(high, axis=0)

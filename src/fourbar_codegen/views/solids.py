@@ -83,9 +83,10 @@ class Solid:
     value: float = 0.0
 
     @property
-    def reach(self) -> float:
-        """How far it goes from its place; nothing for a rod, whose ends are points of the mechanism."""
-        return 0.0 if self.to is not None else float(np.linalg.norm(self.mesh.vertices, axis=1).max(initial=0.0))
+    def corners(self) -> Floats:
+        """The corners of the box about it along its own axes, shape (8, 3)."""
+        ends = np.array([self.mesh.vertices.min(axis=0), self.mesh.vertices.max(axis=0)])
+        return np.array([[ends[(k >> j) & 1, j] for j in range(3)] for k in range(8)])
 
     def placed(self, positions: Floats, rotations: Floats) -> tuple[Floats, Floats]:
         """Its place, shape (3, n_t), and rotation matrix, (3, 3, n_t), for positions and rotations of a scene."""
@@ -154,7 +155,7 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                     yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to, length)
                 continue
             turn = drawing.bodies.index(name) if name in drawing.bodies else None
-            if name == ground:  # the last rotation of a scene
+            if turn is None:  # of a particle, or of the ground: the last rotation of a scene
                 turn = len(drawing.bodies)
             if isinstance(shape.at, str):
                 row, offset = row_of(shape.at), np.zeros(3)

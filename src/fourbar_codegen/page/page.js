@@ -128,6 +128,15 @@ const positionsOf = run => {
 };
 let arrowScale = 0;
 
+// The quaternion of a rotation matrix of three columns. Source: S. W. Shepperd, "Quaternion from rotation matrix",
+// Journal of Guidance and Control 1 (1978): the largest component is found first.
+const quaternionOf = ([a, b, c]) => {
+  const squares = [a[0] - b[1] - c[2], b[1] - a[0] - c[2], c[2] - a[0] - b[1], a[0] + b[1] + c[2]];
+  const largest = squares.indexOf(Math.max(...squares)), r = Math.sqrt(1 + squares[largest]) / 2, f = 0.25 / r;
+  const [x, y, z] = [b[2] - c[1], c[0] - a[2], a[1] - b[0]], [xy, xz, yz] = [a[1] + b[0], c[0] + a[2], b[2] + c[1]];
+  return [[r, f * xy, f * xz, f * x], [f * xy, r, f * yz, f * y], [f * xz, f * yz, r, f * z],
+    [f * x, f * y, f * z, r]][largest] ?? [NaN, NaN, NaN, NaN];
+};
 // Quaternions of the bodies, and of the inertial frame, in the coordinates of the view.
 const quaternionsOf = run => {
   const m = data.bodies + 1, found = new Float64Array(4 * run.n * m);

@@ -20,6 +20,8 @@ AROUND = 64
 """Segments of the circle of a wheel: its polygon is within 0.12 % of the radius."""
 FEW = 32
 """Segments of round bodies, of which nothing rolls on its edge."""
+SLIM = 20
+"""Segments of rods, of which there are many."""
 ARC = 6
 """Segments of a quarter of a circle along a profile."""
 SPOKES = 16
@@ -132,7 +134,8 @@ def cylinder(radius: float, length: float) -> Mesh:
 def capsule(radius: float, length: float) -> Mesh:
     """A cylinder of a length with half spheres at its ends."""
     h = length / 2.0
-    return _turned([[*_arc(radius, -np.pi / 2.0, 0.0, 0.0, -h), *_arc(radius, 0.0, np.pi / 2.0, 0.0, h)]])
+    below, above = _arc(radius, -np.pi / 2.0, 0.0, 0.0, -h), _arc(radius, 0.0, np.pi / 2.0, 0.0, h)
+    return _turned([[*below[::2], *above[::2]]], SLIM)
 
 
 def arrow(length: float) -> Mesh:

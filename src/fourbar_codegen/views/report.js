@@ -40,4 +40,7 @@ const drawPlots = () => {
   controls.show(controls.shown());
 };
 addEventListener("resize", drawPlots);
-drawPlots();
+if (data.scene.solids.length) { // bodies take longer to draw, and people look at them first
+  controls.show(0);
+  requestAnimationFrame(() => setTimeout(drawPlots));
+} else drawPlots();

@@ -44,14 +44,16 @@ const SHADERS = {
     void main() { gl_FragColor = vec4(color, 1.0) * alpha; }`],
 };
 
-// A colour of a style sheet as three numbers.
-const colorOf = text => {
-  const canvas = document.createElement("canvas");
-  canvas.width = canvas.height = 1;
-  const pen = canvas.getContext("2d");
-  pen.fillStyle = text;
-  pen.fillRect(0, 0, 1, 1);
-  return [...pen.getImageData(0, 0, 1, 1).data].slice(0, 3).map(value => value / 255);
+// A colour, #rrggbb or rgb(...), as three numbers.
+const colorOf = text => (text[0] === "#" ? [1, 3, 5].map(k => Number.parseInt(text.slice(k, k + 2), 16)) :
+  text.match(/[\d.]+/g).slice(0, 3).map(Number)).map(value => value / 255);
+
+// Whether there is no graphics card: then smooth edges take half of the time.
+const isBySoftware = () => {
+  const gl = document.createElement("canvas").getContext("webgl"), names = gl?.getExtension("WEBGL_debug_renderer_info");
+  const name = String(names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "");
+  gl?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /SwiftShader|llvmpipe|Basic Render/.test(name);
 };
 
 const programOf = (gl, [vertex, fragment]) => {
@@ -96,16 +98,9 @@ const turnOf = ([x, y, z, w]) => [
   1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w),
   2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w),
   2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)];
-// The quaternion of a rotation matrix of three columns. Source: S. W. Shepperd, "Quaternion from rotation matrix",
-// Journal of Guidance and Control 1 (1978): the largest component is found first.
-const quaternionOf = ([a, b, c]) => {
-  const squares = [a[0] - b[1] - c[2], b[1] - a[0] - c[2], c[2] - a[0] - b[1], a[0] + b[1] + c[2]];
-  const largest = squares.indexOf(Math.max(...squares)), r = Math.sqrt(1 + squares[largest]) / 2, f = 0.25 / r;
-  const [x, y, z] = [b[2] - c[1], c[0] - a[2], a[1] - b[0]], [xy, xz, yz] = [a[1] + b[0], c[0] + a[2], b[2] + c[1]];
-  return [[r, f * xy, f * xz, f * x], [f * xy, r, f * yz, f * y], [f * xz, f * yz, r, f * z],
-    [f * x, f * y, f * z, r]][largest] ?? [NaN, NaN, NaN, NaN];
-};
 const transposed = m => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
+const isKnown = a => Number.isFinite(a[0] + a[1] + a[2]);
+// An axis far from a direction.
 const farthest = z => Math.abs(z[0]) < 0.9 ? [1, 0, 0] : [0, 1, 0];
 
 // Four corners of a quadrilateral for each segment between points that follow each other; not where one is unknown.
@@ -124,36 +119,184 @@ const segmentsOf = points => {
 // The corners of the box about points.
 const cornersOf = points => {
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
-  points.forEach((value, i) => {
-    low[i % 3] = Math.min(low[i % 3], value);
-    high[i % 3] = Math.max(high[i % 3], value);
-  });
+  for (let i = 0; i < points.length; ++i) {
+    low[i % 3] = Math.min(low[i % 3], points[i]);
+    high[i % 3] = Math.max(high[i % 3], points[i]);
+  }
   return Array.from({length: 8}, (_, k) => [0, 1, 2].map(j => (k >> j) & 1 ? high[j] : low[j]));
+};
+
+// Draws meshes, of which solids are made, and lines, as a camera sees them: `see` begins a picture, of a matrix whose rows
+// are the directions to the right, upwards and to the reader, the point in the middle, the pixels for a unit of length,
+// and the depth of what is shown.
+const rendererOf = (gl, scene) => {
+  const meshProgram = programOf(gl, SHADERS.solid), lineProgram = programOf(gl, SHADERS.line);
+  const meshes = scene.meshes.map(mesh => {
+    const [vertices, normals, faces] = [mesh.vertices, mesh.normals, mesh.faces].map(bytesOf);
+    return {corners: cornersOf(new Float32Array(vertices.buffer)), vertices: bufferOf(gl, gl.ARRAY_BUFFER, vertices),
+      normals: bufferOf(gl, gl.ARRAY_BUFFER, normals), faces: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, faces),
+      count: faces.length / 2};
+  });
+  let ratio = 1;
+  const attribute = (place, buffer, size, kind, stride = 0, start = 0) => {
+    gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
+    gl.enableVertexAttribArray(place);
+    gl.vertexAttribPointer(place, size, kind, kind === gl.BYTE, stride, start);
+  };
+  const renderer = {
+    corners: number => meshes[number].corners,
+    see({canvas, page, matrix, middle, pixels, depth}) {
+      ratio = devicePixelRatio || 1;
+      const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(size => Math.max(1, Math.round(size * ratio)));
+      if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
+      gl.viewport(0, 0, width, height);
+      gl.clearColor(...page, 1);
+      gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+      gl.enable(gl.DEPTH_TEST);
+      gl.enable(gl.BLEND);
+      gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+      for (const program of [meshProgram, lineProgram]) {
+        gl.useProgram(program.program);
+        gl.uniformMatrix3fv(program.view, false, matrix);
+        gl.uniform3fv(program.middle, middle);
+        gl.uniform3fv(program.scale, [2 * pixels * ratio / width, 2 * pixels * ratio / height, -2 / depth]);
+      }
+      gl.uniform2fv(lineProgram.size, [width, height]);
+    },
+    line(points) {
+      const [values, indices] = segmentsOf(points);
+      return {values: bufferOf(gl, gl.ARRAY_BUFFER, values), indices: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, indices),
+        count: indices.length};
+    },
+    free({values, indices}) {
+      gl.deleteBuffer(values);
+      gl.deleteBuffer(indices);
+    },
+    drawLine(lines, color, width, alpha = 1) {
+      if (!lines || !lines.count) return;
+      const {from, to, corner} = lineProgram;
+      gl.useProgram(lineProgram.program);
+      for (const [place, size, start] of [[from, 3, 0], [to, 3, 12], [corner, 2, 24]]) {
+        attribute(place, lines.values, size, gl.FLOAT, 32, start);
+      }
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, lines.indices);
+      gl.uniform3fv(lineProgram.color, color);
+      gl.uniform1f(lineProgram.alpha, alpha);
+      gl.uniform1f(lineProgram.width, width * ratio);
+      gl.drawElements(gl.TRIANGLES, lines.count, gl.UNSIGNED_SHORT, 0);
+      for (const place of [from, to, corner]) gl.disableVertexAttribArray(place);
+    },
+    // A line that is drawn once.
+    drawPoints(points, color, width) {
+      const lines = renderer.line(points);
+      renderer.drawLine(lines, color, width);
+      renderer.free(lines);
+    },
+    drawMesh(number, place, matrix, color) {
+      const {vertices, normals, faces, count} = meshes[number];
+      gl.useProgram(meshProgram.program);
+      attribute(meshProgram.position, vertices, 3, gl.FLOAT);
+      attribute(meshProgram.normal, normals, 3, gl.BYTE);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, faces);
+      gl.uniformMatrix3fv(meshProgram.turn, false, matrix);
+      gl.uniform3fv(meshProgram.place, place);
+      gl.uniform3fv(meshProgram.color, color);
+      gl.uniform1f(meshProgram.alpha, 1);
+      gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_SHORT, 0);
+      for (const at of [meshProgram.position, meshProgram.normal]) gl.disableVertexAttribArray(at);
+    },
+  };
+  return renderer;
+};
+
+// Turns, moves and enlarges a picture by pointers, wheel and keys.
+const handle = (canvas, {rotate, shift, enlarge, look}) => {
+  const held = new Map();
+  canvas.style.touchAction = "none";
+  canvas.addEventListener("pointerdown", event => {
+    held.set(event.pointerId, [event.clientX, event.clientY]);
+    canvas.setPointerCapture(event.pointerId);
+    canvas.focus({preventScroll: true});
+  });
+  canvas.addEventListener("pointermove", event => {
+    const last = held.get(event.pointerId), now = [event.clientX, event.clientY];
+    if (!last) return;
+    const [x, y] = [now[0] - last[0], now[1] - last[1]];
+    if (held.size > 1) {
+      const [, other] = [...held].find(([id]) => id !== event.pointerId);
+      const apart = point => Math.hypot(point[0] - other[0], point[1] - other[1]);
+      enlarge(apart(now) / (apart(last) || 1));
+      shift(x / 2, y / 2);
+    } else if (event.shiftKey || event.buttons & 6) shift(x, y);
+    else rotate(x / 150, y / 150);
+    held.set(event.pointerId, now);
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, event => { held.delete(event.pointerId); });
+  }
+  canvas.addEventListener("contextmenu", event => event.preventDefault());
+  canvas.addEventListener("wheel", event => {
+    if (document.activeElement !== canvas && !event.ctrlKey) return; // the page scrolls
+    enlarge(Math.exp(-event.deltaY / 400));
+    event.preventDefault();
+  }, {passive: false});
+  canvas.setAttribute("tabindex", 0);
+  canvas.addEventListener("keydown", event => {
+    if (event.ctrlKey || event.altKey || event.metaKey) return;
+    const ways = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]}, way = ways[event.key];
+    const views = {0: "home", 1: "front", 2: "side", 3: "top"};
+    if (way) (event.shiftKey ? shift : rotate)(...way.map(value => value * (event.shiftKey ? 20 : 0.1)));
+    else if (event.key in views) look(views[event.key]);
+    else if (event.key === "+" || event.key === "=") enlarge(1.15);
+    else if (event.key === "-") enlarge(1 / 1.15);
+    else return;
+    event.preventDefault();
+    event.stopPropagation();
+  });
+};
+
+// The least and largest coordinates of points, as far as they are known.
+const boundsOf = points => {
+  const ends = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
+  for (const a of points) if (isKnown(a)) for (let j = 0; j < 3; ++j) {
+    ends[0][j] = Math.min(ends[0][j], a[j]);
+    ends[1][j] = Math.max(ends[1][j], a[j]);
+  }
+  return ends;
+};
+const diagonalOf = ([least, most]) => Math.hypot(...minus(most, least));
+
+// Points of a spring between two places, or a straight line.
+const coiled = (a, b, {kind, outline}, unit) => {
+  const way = minus(b, a), far = Math.hypot(...way);
+  if (kind !== "spring" || !(far > 0)) return [a, b];
+  const z = unitOf(way), x = unitOf(crossed(farthest(z), z)), y = crossed(z, x), ROUND = 12;
+  const coils = Math.round((outline[0].length - 4) / 2), points = [a];
+  for (let i = 0; i <= coils * ROUND; ++i) {
+    const angle = 2 * Math.PI * i / ROUND, part = 0.15 + 0.7 * i / (coils * ROUND), r = 0.6 * unit;
+    points.push([0, 1, 2].map(j => a[j] + part * way[j] + r * (Math.cos(angle) * x[j] + Math.sin(angle) * y[j])));
+  }
+  return [...points, b];
 };
 
 // The picture in an element <canvas>, with the methods of `mechanismPicture`; `set` also takes quaternions of the
 // bodies, n times as many as the scene's solids turn with. Null where the browser has no WebGL.
 const solidPicture = (canvas, scene) => {
-  const gl = canvas.getContext("webgl", {antialias: true, alpha: false});
+  const gl = canvas.getContext("webgl", {antialias: !isBySoftware(), alpha: false});
   if (!gl) return null;
   const FAR = 4, STILL = 1e-9, MARGIN = 0.86, HOME = [-0.6, -1.15];
-  const TURNS = {front: [0, -Math.PI / 2], side: [-Math.PI / 2, -Math.PI / 2], top: [0, 0], home: HOME};
-  let [turn, tilt] = HOME, zoom = 1, pan = [0, 0];
-  let positions = new Float32Array(0), rotations = new Float32Array(0), n = 0, m = 0, bodies = 0, shown = 0;
-  let sizes = {}, before = null, moving = [], moves = new Set(), follows = false;
-  // All that is shown, in the inertial frame; its size at one instant; and the sizes on the screen.
-  let low = [0, 0, 0], high = [0, 0, 0], radius = 1, span = [1, 1], middleSeen = [0, 0, 0];
-  const drawn = [...new Set([...scene.shown, ...scene.solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
+  const VIEWS = {front: [0, -Math.PI / 2], side: [-Math.PI / 2, -Math.PI / 2], top: [0, 0], home: HOME};
+  const renderer = rendererOf(gl, scene), traces = new Map(), colors = {};
+  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color),
+    corners: renderer.corners(entry.mesh)}));
+  const drawn = [...new Set([...scene.shown, ...solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
-  const solid = programOf(gl, SHADERS.solid), line = programOf(gl, SHADERS.line);
-  const meshes = scene.meshes.map(({vertices, normals, faces}) => ({
-    vertices: bufferOf(gl, gl.ARRAY_BUFFER, bytesOf(vertices)), normals: bufferOf(gl, gl.ARRAY_BUFFER, bytesOf(normals)),
-    faces: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, bytesOf(faces)), count: bytesOf(faces).length / 2,
-    corners: cornersOf(new Float32Array(bytesOf(vertices).buffer)),
-  }));
-  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color)}));
-  const colors = {};
-  const traces = new Map();
+  let look = HOME, zoom = 1, pan = [0, 0], positions = new Float32Array(0), rotations = new Float32Array(0), n = 0, m = 0;
+  let bodies = 0, sizes = {}, before = null, moving = [], moves = new Set(), follows = false, shown = 0, grid = null;
+  // Places at some instants, and of what moves at each of some; bounds of all; the size of what moves at one instant,
+  // and of all; sizes on the screen, and what is in the middle of it.
+  let every = [], atOnce = [], bounds = [[], []], radius = 1, whole = 1, span = [1, 1], middleSeen = [0, 0, 0];
+
   const readColors = () => {
     const probe = make("span", {hidden: ""}, document.body);
     for (const name of ["page", "ink", "faint", "soft", "accent", "force", "curve2"]) {
@@ -166,22 +309,21 @@ const solidPicture = (canvas, scene) => {
     const place = 3 * (i * m + k);
     return [places[place], places[place + 1], places[place + 2]];
   };
-  const isKnown = a => Number.isFinite(a[0] + a[1] + a[2]);
   // Rows of the matrix are the directions to the right, upwards, and to the reader.
-  const turned = ([turn, tilt]) => {
+  const matrixOf = ([turn, tilt]) => {
     const [c, s, ct, st] = [Math.cos(turn), Math.sin(turn), Math.cos(tilt), Math.sin(tilt)];
     return transposed([c, -s, 0, s * ct, c * ct, -st, s * st, c * st, ct]);
   };
   // Where a solid is, and the matrix that turns and scales it; null where that is not known.
-  const placedAt = (i, {row, turn: body, offset, rotation, to, length, parameter, value}) => {
+  const placedAt = (i, {row, turn, offset, rotation, to, length, parameter, value}) => {
     let place = at(i, row), matrix = rotation;
     if (to !== null) {
       const end = at(i, to), way = minus(end, place), z = unitOf(way), x = unitOf(crossed(farthest(z), z));
       const longer = Math.hypot(...way) / length;
       matrix = [...x, ...crossed(z, x), ...z.map(entry => longer * entry)];
       place = place.map((entry, j) => (entry + end[j]) / 2);
-    } else if (body !== null) {
-      const start = 4 * (i * bodies + body), own = turnOf(rotations.subarray(start, start + 4));
+    } else if (turn !== null) {
+      const start = 4 * (i * bodies + turn), own = turnOf(rotations.subarray(start, start + 4));
       const moved = times3(own, offset);
       matrix = product3(own, rotation);
       place = place.map((entry, j) => entry + moved[j]);
@@ -189,172 +331,85 @@ const solidPicture = (canvas, scene) => {
     if (parameter in sizes) matrix = matrix.map(entry => entry * sizes[parameter] / value);
     return isKnown(place) && matrix.every(Number.isFinite) ? [place, matrix] : null;
   };
-  // The least and largest coordinates of rows and of moving or all solids, turned by a matrix, at some instants.
-  const extent = (instants, rows, all, matrix = null) => {
-    const ends = [[Infinity, Infinity, Infinity], [-Infinity, -Infinity, -Infinity]];
-    const add = a => {
-      const b = matrix ? times3(matrix, a) : a;
-      if (isKnown(b)) for (let j = 0; j < 3; ++j) {
-        ends[0][j] = Math.min(ends[0][j], b[j]);
-        ends[1][j] = Math.max(ends[1][j], b[j]);
-      }
-    };
-    for (const i of instants) {
-      for (const k of rows) add(at(i, k));
-      for (const solid of solids) if (all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to)) {
-        const found = placedAt(i, solid);
-        if (found) for (const corner of meshes[solid.mesh].corners) {
-          const b = times3(found[1], corner);
-          add([found[0][0] + b[0], found[0][1] + b[1], found[0][2] + b[2]]);
-        }
-      }
-    }
-    return ends;
+  // Rows, and the corners of moving or all solids, at some instants.
+  const placesOf = (instants, rows, all) => instants.flatMap(i => [...rows.map(k => at(i, k)),
+    ...solids.flatMap(solid => {
+      const found = all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to) ? placedAt(i, solid) : null;
+      return found ? solid.corners.map(corner => times3(found[1], corner).map((value, j) => found[0][j] + value)) : [];
+    })]);
+  const some = most => {
+    const count = Math.min(n, most), last = Math.max(1, count - 1);
+    return Array.from({length: count}, (_, k) => Math.round(k * (n - 1) / last));
   };
-  const sizeOf = ([low, high]) => Math.hypot(...minus(high, low));
-  const some = most => Array.from({length: Math.min(n, most)}, (_, k) => Math.round(k * (n - 1) / Math.max(1, Math.min(n, most) - 1)));
+  // Pixels of the page for a unit of length.
+  const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth / span[0], canvas.clientHeight / span[1]);
 
-  const lineOf = points => {
-    const [values, indices] = segmentsOf(points);
-    return {values: bufferOf(gl, gl.ARRAY_BUFFER, values), indices: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, indices),
-      count: indices.length};
-  };
-  const free = ({values, indices}) => { gl.deleteBuffer(values); gl.deleteBuffer(indices); };
-  let grid = null;
-  const makeGrid = () => {
-    if (grid) free(grid);
+  const makeGrid = ([least, most]) => {
+    if (grid) renderer.free(grid);
     grid = null;
     const heights = scene.ground.map(k => at(0, k)[2]).filter(Number.isFinite);
     if (!heights.length) return;
     const z = Math.min(...heights), room = 0.6 * radius, step = ticksBetween(0, 2 * radius, 8)[1] ?? 1;
-    const [x0, y0] = low.map(value => Math.floor((value - room) / step) * step);
-    const [x1, y1] = high.map(value => Math.ceil((value + room) / step) * step);
+    const [x0, y0] = least.map(value => Math.floor((value - room) / step) * step);
+    const [x1, y1] = most.map(value => Math.ceil((value + room) / step) * step);
     const points = [], gap = [NaN, NaN, NaN];
     for (let x = x0; x < x1 + step / 2; x += step) points.push([x, y0, z], [x, y1, z], gap);
     for (let y = y0; y < y1 + step / 2; y += step) points.push([x0, y, z], [x1, y, z], gap);
-    grid = lineOf(points);
+    grid = renderer.line(points);
   };
-
   const drawTrace = k => {
     const trace = traces.get(k);
-    for (const each of ["line", "ghost"]) if (trace[each]) free(trace[each]);
+    for (const name of ["line", "ghost"]) if (trace[name]) renderer.free(trace[name]);
     const way = places => Array.from({length: places.length / 3 / m}, (_, i) => at(i, k, places));
-    trace.line = m ? lineOf(way(positions)) : null;
-    trace.ghost = before && m ? lineOf(way(before)) : null;
+    trace.line = m ? renderer.line(way(positions)) : null;
+    trace.ghost = before && m ? renderer.line(way(before)) : null;
   };
-
-  // Points of a spring between two places, or a straight line.
-  const coiled = (a, b, {kind, outline}) => {
-    const way = minus(b, a), far = Math.hypot(...way);
-    if (kind !== "spring" || !(far > 0)) return [a, b];
-    const z = unitOf(way), x = unitOf(crossed(farthest(z), z)), y = crossed(z, x);
-    const coils = Math.round((outline[0].length - 4) / 2), round = 12, points = [a];
-    for (let i = 0; i <= coils * round; ++i) {
-      const angle = 2 * Math.PI * i / round, part = 0.15 + 0.7 * i / (coils * round), r = 0.6 * scene.unit;
-      points.push([0, 1, 2].map(j => a[j] + part * way[j] + r * (Math.cos(angle) * x[j] + Math.sin(angle) * y[j])));
-    }
-    return [...points, b];
+  const drawArrow = ([a, b], matrix) => {
+    const way = minus(b, a), length = Math.hypot(...way), pixels = scaleNow();
+    if (!(length * pixels > 1)) return;
+    const along = unitOf(way), side = crossed(along, times3(transposed(matrix), [0, 0, 1]));
+    const back = Math.min(0.3 * length, 9 / pixels);
+    const [left, right] = [-0.5, 0.5].map(sign => b.map((value, j) => value - back * (along[j] + sign * side[j])));
+    renderer.drawPoints([a, b], colors.force, 3);
+    renderer.drawPoints([left, b, right], colors.force, 3);
   };
 
   let frame = null;
   const render = () => {
     frame = null;
-    const ratio = devicePixelRatio || 1, width = Math.max(1, Math.round(canvas.clientWidth * ratio));
-    const height = Math.max(1, Math.round(canvas.clientHeight * ratio));
-    if (canvas.width !== width || canvas.height !== height) [canvas.width, canvas.height] = [width, height];
-    gl.viewport(0, 0, width, height);
-    gl.clearColor(...colors.page, 1);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-    if (!m || !n) return;
-    gl.enable(gl.DEPTH_TEST);
-    gl.enable(gl.BLEND);
-    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
-    const seen = turned([turn, tilt]), per = scaleNow();
-    const own = follows ? extent([shown], moving, false) : null;
+    const matrix = matrixOf(look), own = follows ? boundsOf(placesOf([shown], moving, false)) : null;
     // What is in the middle: the mechanism that is followed, or what is in the middle of the first view.
     const about = own && Number.isFinite(own[0][0]) ? [0, 1, 2].map(j => (own[0][j] + own[1][j]) / 2) :
-      times3(transposed(turned(HOME)), middleSeen);
-    const middle = times3(seen, about).map((value, j) => value - (pan[j] ?? 0));
-    const depth = 2 * (sizeOf([low, high]) + 4 * radius);
-    const scale = [2 * per * ratio / width, 2 * per * ratio / height, -2 / depth];
-    const common = program => {
-      gl.useProgram(program.program);
-      gl.uniformMatrix3fv(program.view, false, seen);
-      gl.uniform3fv(program.middle, middle);
-      gl.uniform3fv(program.scale, scale);
-    };
-    const strokes = (lines, color, wide, alpha = 1) => {
-      if (!lines || !lines.count) return;
-      gl.bindBuffer(gl.ARRAY_BUFFER, lines.values);
-      for (const [name, size, start] of [["from", 3, 0], ["to", 3, 12], ["corner", 2, 24]]) {
-        gl.enableVertexAttribArray(line[name]);
-        gl.vertexAttribPointer(line[name], size, gl.FLOAT, false, 32, start);
-      }
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, lines.indices);
-      gl.uniform3fv(line.color, color);
-      gl.uniform1f(line.alpha, alpha);
-      gl.uniform1f(line.width, wide * ratio);
-      gl.drawElements(gl.TRIANGLES, lines.count, gl.UNSIGNED_SHORT, 0);
-      for (const name of ["from", "to", "corner"]) gl.disableVertexAttribArray(line[name]);
-    };
-    common(line);
-    gl.uniform3fv(line.shift, [0, 0, 0]);
-    gl.uniform2fv(line.size, [width, height]);
-    strokes(grid, colors.faint, 1);
-    for (const {line: way, ghost} of traces.values()) {
-      strokes(ghost, colors.soft, 1, 0.7);
-      strokes(way, colors.accent, 2);
+      times3(transposed(matrixOf(HOME)), middleSeen);
+    const middle = times3(matrix, about).map((value, j) => value - (pan[j] ?? 0));
+    renderer.see({canvas, page: colors.page, matrix, middle, pixels: scaleNow(), depth: 2 * (whole + 4 * radius)});
+    if (!n) return;
+    renderer.drawLine(grid, colors.faint, 1);
+    for (const {line, ghost} of traces.values()) {
+      renderer.drawLine(ghost, colors.soft, 1, 0.7);
+      renderer.drawLine(line, colors.accent, 2);
     }
-    const moved = (points, color, wide) => {
-      const lines = lineOf(points);
-      strokes(lines, color, wide);
-      free(lines);
-    };
     for (const {kind, rows} of scene.lines) if (kind === "actuator" || kind === "line") {
-      moved(rows.map(k => at(shown, k)), kind === "actuator" ? colors.force : colors.ink, kind === "actuator" ? 3 : 2);
+      const points = rows.map(k => at(shown, k));
+      renderer.drawPoints(points, kind === "line" ? colors.ink : colors.force, kind === "line" ? 2 : 3);
     }
     for (const symbol of scene.symbols) if (symbol.kind === "spring" || symbol.kind === "damper") {
-      moved(coiled(at(shown, symbol.at), at(shown, symbol.toward), symbol), colors.curve2, 2);
+      renderer.drawPoints(coiled(at(shown, symbol.at), at(shown, symbol.toward), symbol, scene.unit), colors.curve2, 2);
     }
-    for (const [from, to] of scene.arrows) {
-      const [a, b] = [at(shown, from), at(shown, to)], way = minus(b, a);
-      if (!isKnown(way) || !(Math.hypot(...way) * per > 1)) continue;
-      moved([a, b], colors.force, 3);
-      const side = crossed(unitOf(way), times3(transposed(seen), [0, 0, 1]));
-      const head = Math.min(0.3 * Math.hypot(...way), 9 / per);
-      for (const sign of [-1, 1]) {
-        moved([b, b.map((value, j) => value - head * (unitOf(way)[j] + sign * 0.5 * side[j]))], colors.force, 3);
-      }
-    }
-    common(solid);
-    gl.uniform1f(solid.alpha, 1);
-    for (const entry of solids) {
-      const found = placedAt(shown, entry), {mesh, tone} = entry;
-      if (!found) continue;
-      const [place, matrix] = found;
-      gl.bindBuffer(gl.ARRAY_BUFFER, meshes[mesh].vertices);
-      gl.enableVertexAttribArray(solid.position);
-      gl.vertexAttribPointer(solid.position, 3, gl.FLOAT, false, 0, 0);
-      gl.bindBuffer(gl.ARRAY_BUFFER, meshes[mesh].normals);
-      gl.enableVertexAttribArray(solid.normal);
-      gl.vertexAttribPointer(solid.normal, 3, gl.BYTE, true, 0, 0);
-      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, meshes[mesh].faces);
-      gl.uniformMatrix3fv(solid.turn, false, matrix);
-      gl.uniform3fv(solid.place, place);
-      gl.uniform3fv(solid.color, tone);
-      gl.drawElements(gl.TRIANGLES, meshes[mesh].count, gl.UNSIGNED_SHORT, 0);
+    for (const ends of scene.arrows) drawArrow(ends.map(k => at(shown, k)), matrix);
+    for (const solid of solids) {
+      const found = placedAt(shown, solid);
+      if (found) renderer.drawMesh(solid.mesh, ...found, solid.tone);
     }
   };
   const soon = () => { frame ??= requestAnimationFrame(render); };
-  // Pixels of the page for a unit of length.
-  const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth / span[0], canvas.clientHeight / span[1]);
 
   const picture = {
     // The positions of a run and of the run before, quaternions of the bodies, and parameters that are sizes.
     set(places, rows, ghost = null, turns = rotations, values = {}) {
       positions = places;
-      sizes = values;
       rotations = turns;
+      sizes = values;
       m = rows;
       n = m ? places.length / 3 / m : 0;
       bodies = n ? rotations.length / 4 / n : 0;
@@ -365,22 +420,23 @@ const solidPicture = (canvas, scene) => {
         return false;
       });
       moves = new Set(moving);
+      every = placesOf(some(30), drawn, true);
+      atOnce = some(10).map(i => placesOf([i], moving, false));
+      bounds = boundsOf(every);
+      whole = diagonalOf(bounds) || 1;
+      radius = Math.max(...atOnce.map(places => diagonalOf(boundsOf(places))).filter(Number.isFinite), 0) || whole;
       picture.fit();
     },
     // The scale is that of the first view, so that it stays as the picture is turned.
     fit() {
-      const home = turned(HOME), rows = follows ? moving : drawn;
-      const whole = extent(some(200), drawn, true);
-      if (!Number.isFinite(whole[0][0])) return;
-      [low, high] = whole;
-      radius = Math.max(...some(30).map(i => sizeOf(extent([i], moving, false))).filter(Number.isFinite), 0) || sizeOf(whole) || 1;
-      const windows = follows ? some(30).map(i => extent([i], rows, false, home)) : [extent(some(200), rows, true, home)];
+      if (!Number.isFinite(bounds[0][0])) return;
+      const home = matrixOf(HOME), windows = (follows ? atOnce : [every]).map(places => boundsOf(places.map(a => times3(home, a))));
       span = [0, 1].map(j => Math.max(...windows.map(([a, b]) => b[j] - a[j]).filter(Number.isFinite), 1e-3 * radius));
       middleSeen = [0, 1, 2].map(j => (windows[0][0][j] + windows[0][1][j]) / 2);
-      makeGrid();
+      makeGrid(bounds);
     },
     travels() {
-      return moving.length > 1 && sizeOf(extent(some(200), moving, false)) > FAR * radius;
+      return moving.length > 1 && diagonalOf(boundsOf(placesOf(some(30), moving, false))) > FAR * radius;
     },
     follow(on) {
       follows = on;
@@ -391,7 +447,7 @@ const solidPicture = (canvas, scene) => {
         traces.set(k, {line: null, ghost: null});
         drawTrace(k);
       } else if (!on && traces.has(k)) {
-        for (const each of Object.values(traces.get(k))) if (each) free(each);
+        for (const line of Object.values(traces.get(k))) if (line) renderer.free(line);
         traces.delete(k);
       }
       soon();
@@ -410,68 +466,27 @@ const solidPicture = (canvas, scene) => {
     },
     // Looks along an axis, or as at first.
     look(name) {
-      [turn, tilt] = TURNS[name];
+      look = VIEWS[name];
       if (name === "home") { zoom = 1; pan = [0, 0]; }
       soon();
     },
   };
-
-  const rotate = (across, up) => {
-    turn += across;
-    tilt = Math.max(-Math.PI, Math.min(0, tilt + up));
-    soon();
-  };
-  const shift = (x, y) => {
-    pan = [pan[0] + x / scaleNow(), pan[1] - y / scaleNow()];
-    soon();
-  };
-  const enlarge = factor => {
-    zoom = Math.max(0.1, Math.min(100, zoom * factor));
-    soon();
-  };
-  const held = new Map();
-  canvas.style.touchAction = "none";
-  canvas.addEventListener("pointerdown", event => {
-    held.set(event.pointerId, [event.clientX, event.clientY]);
-    canvas.setPointerCapture(event.pointerId);
-    canvas.focus({preventScroll: true});
+  handle(canvas, {
+    look: picture.look,
+    rotate(across, up) {
+      look = [look[0] + across, Math.max(-Math.PI, Math.min(0, look[1] + up))];
+      soon();
+    },
+    shift(x, y) {
+      pan = [pan[0] + x / scaleNow(), pan[1] - y / scaleNow()];
+      soon();
+    },
+    enlarge(factor) {
+      zoom = Math.max(0.1, Math.min(100, zoom * factor));
+      soon();
+    },
   });
-  canvas.addEventListener("pointermove", event => {
-    const last = held.get(event.pointerId), now = [event.clientX, event.clientY];
-    if (!last) return;
-    const [x, y] = [now[0] - last[0], now[1] - last[1]];
-    if (held.size > 1) {
-      const [[, other]] = [...held].filter(([id]) => id !== event.pointerId);
-      enlarge(Math.hypot(now[0] - other[0], now[1] - other[1]) / (Math.hypot(last[0] - other[0], last[1] - other[1]) || 1));
-      shift(x / 2, y / 2);
-    } else if (event.shiftKey || event.buttons & 6) shift(x, y);
-    else rotate(x / 150, y / 150);
-    held.set(event.pointerId, now);
-  });
-  for (const name of ["pointerup", "pointercancel"]) {
-    canvas.addEventListener(name, event => { held.delete(event.pointerId); });
-  }
-  canvas.addEventListener("contextmenu", event => event.preventDefault());
-  canvas.addEventListener("wheel", event => {
-    if (document.activeElement !== canvas && !event.ctrlKey) return; // the page scrolls
-    enlarge(Math.exp(-event.deltaY / 400));
-    event.preventDefault();
-  }, {passive: false});
-  canvas.setAttribute("tabindex", 0);
-  canvas.addEventListener("keydown", event => {
-    if (event.ctrlKey || event.altKey || event.metaKey) return;
-    const arrows = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1]}, way = arrows[event.key];
-    const views = {0: "home", 1: "front", 2: "side", 3: "top"};
-    if (way) (event.shiftKey ? shift : rotate)(...way.map(value => value * (event.shiftKey ? 20 : 0.1)));
-    else if (event.key in views) picture.look(views[event.key]);
-    else if (event.key === "+" || event.key === "=") enlarge(1.15);
-    else if (event.key === "-") enlarge(1 / 1.15);
-    else return;
-    event.preventDefault();
-    event.stopPropagation();
-  });
-  const restyle = () => { readColors(); soon(); };
-  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", restyle);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { readColors(); soon(); });
   new ResizeObserver(soon).observe(canvas);
   readColors();
   return picture;

@@ -15,7 +15,11 @@ const make = (name, attributes, parent, text) => {
   return parent.appendChild(element);
 };
 
-const bytesOf = text => Uint8Array.from(atob(text), c => c.charCodeAt(0));
+const bytesOf = text => {
+  const binary = atob(text), bytes = new Uint8Array(binary.length);
+  for (let i = 0; i < binary.length; ++i) bytes[i] = binary.charCodeAt(i);
+  return bytes;
+};
 
 const numberText = value => Math.abs(value) >= 1e4 || (value !== 0 && Math.abs(value) < 1e-3) ?
   value.toExponential(1) : String(Number(value.toPrecision(4)));

@@ -211,8 +211,7 @@ void FB_EXPORT(set_tables)(const double *given)
 /* The numbers of a row of `observe`. */
 int FB_EXPORT(row_length)(void)
 {
-    return N_X + N_R + N_O + 3 + N_C + 1 + 3 * N_VECTORS + 3 * N_POINTS + 3 * N_FORCES +
-           9 * N_BODIES;
+    return N_X + N_R + N_O + 3 + N_C + 1 + 3 * N_VECTORS + 3 * N_POINTS + 3 * N_FORCES + 9 * N_BODIES;
 }
 
 double FB_EXPORT(time_reached)(void)
@@ -306,7 +305,8 @@ static double largest_residual(const double t, const double *x, const double *co
 }
 
 /* For each of n states: itself, inputs, outputs, kinetic and potential energy and their sum, multipliers, the largest
- * residual of a constraint, vectors, points, forces, and rotation matrices of bodies; not numbers where they cannot be evaluated. */
+ * residual of a constraint, vectors, points, forces, and rotation matrices of bodies; not numbers where they cannot be
+ * evaluated. */
 void FB_EXPORT(observe)(const double *times, const double *states, const long n, double *rows)
 {
     own_of(&mechanism)->clock = fb_all_time;

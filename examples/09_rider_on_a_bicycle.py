@@ -123,7 +123,8 @@ def shapes(rider: fb.CompiledModel) -> dict[str, list]:
     return {**of_limbs, trunk.split(" and ")[-1]: body}
 
 
-def main() -> None:
+def ride() -> fb.Trajectory:
+    """The run: assembled from zero, then four seconds."""
     system = rider_on_a_bicycle()
     begin = time.perf_counter()
     symbols = fb.Model(system, inputs="auto").parameter_symbols
@@ -144,9 +145,14 @@ def main() -> None:
     begin = time.perf_counter()
     run = rider.simulate((0.0, 4.0), x0, inputs=inputs)
     print(f"4 s in {time.perf_counter() - begin:.3f} s; {run.message}")
-    print(f"largest constraint violation {np.abs(run.constraint_residual).max():.1e}")
     rider.shapes = shapes(rider)
+    return run
+
+
+def main() -> None:
+    run = ride()
     print(run.save("results/rider.html"))
+    print(f"largest constraint violation {np.abs(run.constraint_residual).max():.1e}")
     print(f"largest lean angle {np.abs(run['bicycle_q4']).max():.3f} rad, distance {run['bicycle_q1'][-1]:.1f} m")
 
 

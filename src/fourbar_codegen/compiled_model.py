@@ -328,7 +328,7 @@ class CompiledModel:
         >>> import fourbar_codegen as fb
         >>> bicycle = fb.compile_model(fb.models.whipple_bicycle())
         >>> bicycle.shapes["front wheel"]
-        (Wheel(radius=0.35, at='fo', axis=(0.0, 1.0, 0.0)),)
+        (Wheel(radius='rf', at='fo', axis=(0.0, 1.0, 0.0)),)
         >>> bicycle.shapes = {"front wheel": fb.Wheel(0.35, axis=(0, 1, 0), color="red")}
         """
         found: dict[str, tuple[BodyShape, ...]] = self.kernel.shapes

@@ -73,7 +73,7 @@ def box(size, mass=3.0, axes=None):
         (meshes.cone(1.0, 3.0), np.pi, 0.01),
         (meshes.sphere(1.0), 4.0 / 3.0 * np.pi, 0.03),
         (meshes.ellipsoid(1.0, 2.0, 3.0), 8.0 * np.pi, 0.03),
-        (meshes.capsule(1.0, 2.0), 2.0 * np.pi + 4.0 / 3.0 * np.pi, 0.02),
+        (meshes.capsule(1.0, 2.0), 2.0 * np.pi + 4.0 / 3.0 * np.pi, 0.05),  # with 20 sides, and 3 in a quarter
         (meshes.torus(2.0, 0.5), np.pi**2, 0.03),
     ],
     ids=["box", "cylinder", "cone", "sphere", "ellipsoid", "capsule", "torus"],

@@ -32,11 +32,14 @@ class Frames:
         Its last rows are the tips of the arrows.
     arrows : dict of int to int
         For each force that depends on inputs, the rows of the point where it acts and of the tip of its arrow.
+    longest : float
+        The magnitude of the force with the longest arrow, N.
     """
 
     shown: Trajectory
     scene: Scene
     arrows: dict[int, int]
+    longest: float
 
 
 def equal_times(start: float, end: float, rate: float) -> Floats:
@@ -83,12 +86,14 @@ def frames_of(
     # Forces that are not finite have no arrow.
     forces = {name: np.where(np.isfinite(force).all(axis=0), force, 0.0) for name, force in shown.forces.items()}
     greatest = max((np.abs(force).max() for force in forces.values()), default=0.0)
+    strongest = 0.0
     if greatest:
         forces = {name: force / greatest for name, force in forces.items()}
         longest = max(np.linalg.norm(force, axis=0).max() for force in forces.values())
+        strongest = float(greatest * longest)
         forces = {name: ARROW * found.body_size * force / longest for name, force in forces.items()}
     tips = {
         model.points.index(name): found.view(shown.points[name] + force) for name, force in forces.items() if greatest
     }
     arrows = {point: len(found.positions) + number for number, point in enumerate(tips)}
-    return Frames(shown, replace(found, positions=np.array([*found.positions, *tips.values()])), arrows)
+    return Frames(shown, replace(found, positions=np.array([*found.positions, *tips.values()])), arrows, strongest)

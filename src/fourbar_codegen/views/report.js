@@ -7,6 +7,9 @@ if (data.scene.planar) byId("turn").remove();
 const picture = pictureOf(byId("mechanism"), data.scene);
 picture.set(positions, positions.length / 3 / times.length, null, floats(data.rotations));
 followBox(byId("follow"), picture);
+if (data.longest > 0) {
+  make("p", {}, byId("mechanism").parentElement, `Arrows are forces of inputs; the longest is ${numberText(data.longest)} N.`);
+}
 traceBoxes(byId("traces"), data.scene.points, picture);
 
 for (const [name, value] of data.table) {
@@ -44,3 +47,4 @@ if (data.scene.solids.length) { // bodies take longer to draw, and people look a
   controls.show(0);
   requestAnimationFrame(() => setTimeout(drawPlots));
 } else drawPlots();
+requestAnimationFrame(() => requestAnimationFrame(() => performance.mark("first picture")));

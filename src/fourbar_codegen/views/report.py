@@ -88,6 +88,7 @@ def report_text(trajectory: Trajectory, shapes: ShapesLike | None = None) -> str
         "positions": packed(np.moveaxis(drawn.scene.positions, 2, 0) / drawn.scene.size),
         "rotations": packed(quaternions(drawn.scene.rotations)),
         "scene": scene_data(drawn.scene, drawn.arrows, 1.0 / drawn.scene.size),
+        "longest": drawn.longest,
         "plots": _plots(drawn.shown),
         "table": _rows(trajectory),
     }

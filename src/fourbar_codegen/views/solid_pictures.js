@@ -406,12 +406,12 @@ const solidPicture = (canvas, scene) => {
 
   const picture = {
     // The positions of a run and of the run before, quaternions of the bodies, and parameters that are sizes.
-    set(places, rows, ghost = null, turns = rotations, values = {}) {
-      positions = places;
+    set(given, rows, ghost = null, turns = rotations, values = {}) {
+      positions = given;
       rotations = turns;
       sizes = values;
       m = rows;
-      n = m ? places.length / 3 / m : 0;
+      n = m ? given.length / 3 / m : 0;
       bodies = n ? rotations.length / 4 / n : 0;
       before = ghost;
       moving = drawn.filter(k => {

@@ -30,7 +30,7 @@ PALETTE = ("#4c78a8", "#e0913a", "#5a9e6f", "#c0504d", "#8b6bb1", "#9c755f", "#3
 MOST_VERTICES = 65_536
 """Of a mesh, whose numbers have 16 bits in pages."""
 
-ROUND = "#59626d"
+ROUND = "#7a8490"
 """Of wheels."""
 
 COLORS = {

@@ -86,6 +86,17 @@ class _States:
         """The points that are fixed on a body, of which one is given."""
         return np.asarray(np.ptp(self.local(body, center), axis=0).max(axis=1) <= RTOL * self.size)
 
+    @property
+    def bodies(self) -> list[tuple[int, int]]:
+        """The numbers of the bodies and of their mass centres, as far as their places and orientations are known."""
+        return [
+            (body, center)
+            for body, center in enumerate(self.centers)
+            if center is not None
+            and np.isfinite(self.points[:, center]).all()
+            and np.isfinite(self.rotations[:, body]).all()
+        ]
+
     def moves(self, body: int, center: int) -> bool:
         """Whether a body moves."""
         turns = np.ptp(self.rotations[:, body], axis=0).max(initial=0.0)
@@ -101,10 +112,15 @@ def _random_states(model: Kernel, p: Floats) -> _States:
                 x[: model.n_q, k] += model.invariant_correction(times[k], x[: model.n_q, k], p, r[:, k])
     points = np.moveaxis(model.drawing_along(times, x, r, p)[0], 2, 0)
     rotations = np.moveaxis(model.orientations_along(times, x, r, p), 3, 0)
-    known = np.isfinite(points).all(axis=(1, 2)) & np.isfinite(rotations).all(axis=(1, 2, 3))
+    # States at which all is known that is ever known; what never is, since nobody has asked for it, counts as unknown.
+    known = np.full(N_STATES, fill_value=True)
+    for values in (points.reshape(N_STATES, -1), rotations.reshape(N_STATES, -1)):
+        finite = np.isfinite(values)
+        known &= (finite | ~finite.any(axis=0)).all(axis=1)
     points, rotations = points[known], rotations[known]
     of = {point.body: number for number, point in enumerate(model.layout.drawing.points) if point.body}
-    size = float(np.abs(points - points.mean(axis=1, keepdims=True)).max(initial=0.0)) or 1.0
+    placed = points[:, np.isfinite(points).all(axis=(0, 2))]
+    size = float(np.ptp(placed, axis=1).max(initial=0.0)) or 1.0 if placed.size else 1.0
     return _States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
 
 
@@ -131,13 +147,12 @@ def contacts(model: Kernel, p: Floats) -> tuple[Contact, ...]:
     states = _random_states(model, p)
     if len(states.points) < 2:
         return ()
-    bodies = [(body, center) for body, center in enumerate(states.centers) if center is not None]
-    fixed = {body: states.fixed(body, center) for body, center in bodies}
+    fixed = {body: states.fixed(body, center) for body, center in states.bodies}
     best: dict[int, tuple[float, Contact]] = {}
     for point in range(len(model.points)):
-        if any(of_body[point] for of_body in fixed.values()):
+        if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
             continue
-        for body, center in bodies:
+        for body, center in states.bodies:
             for up in _upwards(model):
                 for found, spin in _wheels(states, body, center, point, fixed[body], up):
                     if spin > best.get(point, (0.0, None))[0]:
@@ -168,6 +183,8 @@ def _wheels(
             continue
         for axis in (*np.eye(3), np.linalg.svd(local)[2][-1]):
             along = rotations @ axis
+            if np.abs((np.cross(along, up) * way).sum(axis=1)).max() > RTOL * states.size:
+                continue
             steepest = -up + (along @ up)[:, np.newaxis] * along
             length = np.linalg.norm(steepest, axis=1, keepdims=True)
             if length.min() < RTOL:
@@ -208,8 +225,8 @@ def found_shapes(
     for contact in on_ground:
         name, at = drawing.bodies[contact.body], drawing.points[contact.center].name
         axis = _three(contact.axis)
-        others = [(b, c) for b, c in enumerate(states.centers) if c is not None and b != contact.body]
-        is_held = any(states.fixed(body, center)[contact.center] for body, center in others)
+        others = [(body, centre) for body, centre in states.bodies if body != contact.body]
+        is_held = any(states.fixed(body, centre)[contact.center] for body, centre in others)
         if contact.tube_radius:
             found[name] = (Torus(_named(model, p, contact), contact.tube_radius, at=at, axis=axis),)
             if is_held:
@@ -232,9 +249,10 @@ def found_shapes(
             radius = float(f"{radius:.3g}")
             found[name] = (*found.get(name, ()), Line(points=tuple(ends), radius=radius))
     linked = {body for name in found for body in name.split(" and ")}
-    for name, center, mass, inertia in zip(drawing.bodies, states.centers, masses, inertias, strict=True):
-        moves = center is not None and states.moves(drawing.bodies.index(name), center)
-        if moves and name not in linked and mass > 0.0 and np.isfinite(inertia).all() and inertia.any():
+    for body, center in states.bodies:
+        name, mass, inertia = drawing.bodies[body], masses[body], inertias[body]
+        has_extent = mass > 0.0 and np.isfinite(inertia).all() and inertia.any()
+        if name not in linked and has_extent and states.moves(body, center):
             found[name] = (_box(mass, inertia),)
     for point in drawing.points:
         if point.body is not None and point.body not in drawing.bodies:

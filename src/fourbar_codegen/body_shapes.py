@@ -12,7 +12,7 @@ from dataclasses import MISSING, dataclass, fields
 from typing import Any, ClassVar
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.interface.arguments import is_mapping, name_of, named, number
+from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_of, named, number
 
 __all__ = [
     "KINDS",
@@ -31,6 +31,7 @@ __all__ = [
     "Sphere",
     "Torus",
     "Wheel",
+    "check_names",
     "data_of",
     "named_shapes",
     "shapes_of",
@@ -41,6 +42,9 @@ Size = float | str
 
 Place = tuple[Size, Size, Size] | str
 """Coordinates from the mass centre along the body's axes, or the name of a point."""
+
+SMALLEST = 1e-100
+"""Length of a direction, whose square is not zero."""
 
 COLORS = ("black", "white", "grey", "red", "green", "blue", "orange", "yellow", "purple", "brown", "cyan", "pink")
 """Names of colours, besides ``#rrggbb``."""
@@ -77,7 +81,10 @@ class BodyShape:
         object.__setattr__(self, "at", _place(self.at, what))
         object.__setattr__(self, "axis", _direction(self.axis, f"axis of a {type(self).__name__}"))
         if self.x_axis is not None:
-            object.__setattr__(self, "x_axis", _direction(self.x_axis, f"x_axis of a {type(self).__name__}"))
+            what = f"x_axis of a {type(self).__name__}"
+            object.__setattr__(self, "x_axis", _direction(self.x_axis, what))
+            if _is_parallel(self.axis, self.x_axis):
+                raise ModelError(f"{what} is a direction that is not that of its axis, not {shown(self.x_axis)}.")
         is_hex = isinstance(self.color, str) and len(self.color) == 7 and self.color[0] == "#"
         if self.color and not (self.color in COLORS or (is_hex and _is_hexadecimal(self.color[1:]))):
             raise ModelError(f"A colour is #rrggbb or one of {', '.join(COLORS)}, not {shown(self.color)}.")
@@ -227,13 +234,13 @@ class CoordinateFrame(BodyShape):
 class Line(BodyShape):
     """A rod between points of the mechanism, by their names."""
 
-    points: tuple[str, ...] = ()
-    radius: Size = 0.0
     sizes = ("radius",)
+    points: tuple[str, ...]
+    radius: Size
 
     def __post_init__(self) -> None:
         names = self.points
-        if not isinstance(names, Sequence) or isinstance(names, str) or len(names) < 2:
+        if not isinstance(names, list | tuple) or len(names) < 2:
             raise ModelError(f"points of a Line are two names or more, not {shown(names)}.")
         object.__setattr__(self, "points", tuple(map(name_of, names)))
         super().__post_init__()
@@ -296,30 +303,63 @@ def named_shapes(given: Any, names: Collection[str]) -> dict[str, tuple[BodyShap
     return found
 
 
+def check_names(
+    shapes: Mapping[str, Sequence[BodyShape]], parameters: Collection[str], points: Collection[str]
+) -> None:
+    """Raise a ModelError if a size of a shape is no parameter, or a place no point."""
+    for name, of_body in shapes.items():
+        for shape in of_body:
+            places = [shape.at] if isinstance(shape.at, str) else []
+            sizes = [getattr(shape, size) for size in shape.sizes] + ([] if places else [*shape.at])
+            for size in sizes:
+                if isinstance(size, str) and size not in parameters:
+                    known = ", ".join(parameters) or "none"
+                    raise ModelError(
+                        f"The shape of {name} has the size {size}, which is no parameter; there are {known}."
+                    )
+            for point in (*places, *(shape.points if isinstance(shape, Line) else ())):
+                if point not in points:
+                    known = ", ".join(points) or "none"
+                    raise ModelError(
+                        f"The shape of {name} names a point {point}, which is not drawn; there are {known}."
+                    )
+
+
 def _size(value: Any, what: str) -> Size:
     """A size: a positive number, or the name of a parameter."""
     if isinstance(value, str) or hasattr(value, "name"):
         return name_of(value)
     size = number(value, what)
-    if not (math.isfinite(size) and size >= 0.0):
-        raise ModelError(f"The {what} is a number that is not negative, m, or a parameter, not {shown(value)}.")
+    if not (math.isfinite(size) and size > 0.0):
+        raise ModelError(f"The {what} is a positive number, m, or a parameter, not {shown(value)}.")
     return size
 
 
 def _place(place: Any, what: str) -> Place:
     if isinstance(place, str) or hasattr(place, "name"):
         return name_of(place)
-    if not isinstance(place, Sequence) or len(place) != 3:
+    parts = [*place] if hasattr(place, "__len__") else []
+    if len(parts) != 3:
         raise ModelError(f"{what} is a point or three coordinates, not {shown(place)}.")
-    x, y, z = (name_of(p) if isinstance(p, str) or hasattr(p, "name") else number(p, what) for p in place)
+    x, y, z = (name_of(p) if isinstance(p, str) or hasattr(p, "name") else finite_number(p, what) for p in parts)
     return x, y, z
 
 
 def _direction(values: Any, what: str) -> tuple[float, float, float]:
-    if not isinstance(values, Sequence) or len(values) != 3 or isinstance(values, str) or not any(values):
+    parts = [*values] if hasattr(values, "__len__") and not isinstance(values, str) else []
+    if len(parts) != 3:
         raise ModelError(f"{what} is a direction with three components, not {shown(values)}.")
-    x, y, z = (number(value, what) for value in values)
+    x, y, z = (finite_number(value, what) for value in parts)
+    length = math.hypot(x, y, z)
+    if not SMALLEST < length < 1.0 / SMALLEST:
+        raise ModelError(f"{what} is a direction with three components, not {shown(values)}.")
     return x, y, z
+
+
+def _is_parallel(a: tuple[float, float, float], b: tuple[float, float, float]) -> bool:
+    """Whether two directions are the same, or opposite, but for rounding errors."""
+    along = abs(sum(x * y for x, y in zip(a, b, strict=True))) / (math.hypot(*a) * math.hypot(*b))
+    return along > 1.0 - 1e-12
 
 
 def _is_hexadecimal(text: str) -> bool:

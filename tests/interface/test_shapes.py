@@ -17,6 +17,7 @@ from sympy.physics.mechanics.system import System
 import fourbar_codegen as fb
 from fourbar_codegen.body_shapes import KINDS, BodyShape
 from fourbar_codegen.views import meshes, shaded
+from fourbar_codegen.views.found_shapes import parts_of
 from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.html_page import quaternions
 
@@ -223,6 +224,53 @@ def test_shapes_compile_nothing_and_replace_those_that_are_found(monkeypatch, tm
     assert module.shapes["satellite"] == (fb.Sphere(0.5),)
 
 
+def test_wheel_that_never_leans_is_found_with_its_radius():
+    """A wheel on a cart: the steepest direction in its plane is always downwards."""
+    ground, origin = me.ReferenceFrame("ground"), me.Point("O")
+    q, u = me.dynamicsymbols("q u")
+    m, r = sm.symbols("m r")
+    origin.set_vel(ground, 0)
+    spun = ground.orientnew("spun", "Axis", [q, ground.y])
+    spun.set_ang_vel(ground, u * ground.y)
+    contact = origin.locatenew("contact", r * q * ground.x)
+    hub = contact.locatenew("hub", r * ground.z)
+    hub.set_vel(ground, r * u * ground.x)
+    wheel = me.RigidBody("wheel", hub, spun, m, (me.inertia(spun, m * r**2 / 4, m * r**2 / 2, m * r**2 / 4), hub))
+    system = System(ground, origin)
+    system.add_bodies(wheel)
+    system.q_ind, system.u_ind = [q], [u]
+    system.add_kdes(u - q.diff())
+    system.add_loads(me.Force(hub, -m * 9.81 * ground.z))
+    model = fb.compile_model(fb.Model(system, name="upright", parameters={m: 1.0, r: 0.3}, points=[contact]))
+    [shape] = model.shapes["wheel"]
+    assert isinstance(shape, fb.Disc)
+    assert (shape.radius, shape.at, shape.axis) == ("r", "hub", (0.0, 1.0, 0.0))
+
+
+def test_hidden_bodies_leave_an_empty_picture(tmp_path):
+    model = fb.compile_model(fb.Model(box((0.3, 0.8, 1.5)), name="hidden", shapes={"satellite": []}))
+    run = model.simulate((0.0, 0.5), [0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+    for figure in (run.plot_frames([0.0]), run.plot_frames([0.0, 0.5])):
+        figure.savefig(tmp_path / "frames.png")
+    assert run.save(tmp_path / "run.gif").stat().st_size > 100
+    assert run.save(tmp_path / "run.html").stat().st_size > 100
+
+
+def test_frames_are_in_space_whatever_times_are_chosen():
+    model = fb.compile_model(fb.Model(box((0.3, 0.8, 1.5)), name="spinning"))
+    run = model.simulate((0.0, 0.5), [0.0, 0.0, 0.0, 1.0, 2.0, 3.0])
+    assert all(len(run.plot_frames(times).axes[0].images) == 1 for times in ([0.0], [0.0, 0.5]))
+
+
+def test_names_of_bodies_that_contain_and_are_whole():
+    system = pendulum()
+    model = fb.compile_model(fb.Model(system, name="salted", parameters={M: 1.0, G: 9.81, L: 1.0}))
+    run = model.simulate((0.0, 0.2), [0.3, 0.0])
+    assert parts_of("salt and pepper", ["salt and pepper"]) == ["salt and pepper"]
+    assert parts_of("a and b", ["a", "b"]) == ["a", "b"]
+    assert scene_of(run, 2, in_space=True).solids
+
+
 def test_frames_and_parameters_give_shapes_their_place_and_size():
     """A flywheel in a frame that no body has, as large as a parameter."""
     system = box((0.3, 0.8, 1.5))
@@ -249,10 +297,17 @@ def test_frames_and_parameters_give_shapes_their_place_and_size():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: fb.Sphere(-1.0), "The radius of a Sphere is a number that is not negative"),
+        (lambda: fb.Sphere(-1.0), "The radius of a Sphere is a positive number"),
         (lambda: fb.Sphere(float("nan")), "radius of a Sphere"),
         (lambda: fb.Box(1, 2, 3, at=(0, 0)), "at of a Box is a point or three coordinates"),
         (lambda: fb.Cylinder(1, 2, axis=(0, 0, 0)), "axis of a Cylinder is a direction"),
+        (lambda: fb.Cylinder(1, 2, axis=(float("nan"), 0, 0)), "axis of a Cylinder"),
+        (
+            lambda: fb.Box(1, 2, 3, axis=(1, 0, 0), x_axis=(-2, 0, 0)),
+            "x_axis of a Box is a direction that is not that of",
+        ),
+        (lambda: fb.Box(1, 2, 3, at=(0, 0, float("inf"))), "at of a Box"),
+        (lambda: fb.Sphere(0.0), "The radius of a Sphere is a positive number"),
         (lambda: fb.Cone(1, 2, color="reddish"), "A colour is #rrggbb or one of black, white"),
         (lambda: fb.Line(points=("A",), radius=0.1), "points of a Line are two names or more"),
     ],
@@ -267,8 +322,14 @@ def test_shapes_of_unknown_bodies_points_and_parameters_are_refused(bicycle, tmp
     for shapes, message in (
         ({"saddle": fb.Sphere(1)}, "There is no body or frame 'saddle'. There are rear frame"),
         ({"rear frame": 3}, "The shape of rear frame is one of Arrow, Box"),
-        ({"rear frame": fb.Sphere("radius")}, "A shape has the size radius, which is no parameter; there are rr, rf"),
-        ({"rear frame": fb.Sphere(1, at="hub")}, "A shape names a point hub, which is not drawn; there are O, dn"),
+        (
+            {"rear frame": fb.Sphere("radius")},
+            "The shape of rear frame has the size radius, which is no parameter; there are rr, rf",
+        ),
+        (
+            {"rear frame": fb.Sphere(1, at="hub")},
+            "The shape of rear frame names a point hub, which is not drawn; there are O, dn",
+        ),
         ({"rear frame": fb.Mesh(str(tmp_path / "no.stl"))}, "no.stl cannot be read"),
         ([fb.Sphere(1)], "shapes= is a mapping of bodies to shapes"),
     ):
@@ -276,8 +337,18 @@ def test_shapes_of_unknown_bodies_points_and_parameters_are_refused(bicycle, tmp
             run.report(shapes=shapes)
     with pytest.raises(fb.ModelError, match="There is no body or frame 'saddle'"):
         bicycle.shapes = {"saddle": fb.Sphere(1)}
-    with pytest.raises(fb.ModelError, match="There is no body or frame 'x'"):
-        fb.Model(pendulum(), shapes={"x": fb.Sphere(1)})
+    with pytest.raises(fb.ModelError, match="has the size radius, which is no parameter"):
+        bicycle.shapes = {"rear frame": fb.Sphere("radius")}
+    for shapes, message in (
+        ({"x": fb.Sphere(1)}, "There is no body or frame 'x'"),
+        ({"bob": fb.Sphere("radius")}, "has the size radius, which is no parameter"),
+    ):
+        with pytest.raises(fb.ModelError, match=message):
+            fb.Model(pendulum(), shapes=shapes)
+    with pytest.raises(fb.ModelError, match=r"The size l1 of a shape is -2: it must be positive"):
+        bicycle.simulate((0.0, 0.1), bicycle.initial_state(), parameters={"l1": -2.0}).report(
+            shapes={"rear frame": fb.Sphere("l1")}
+        )
 
 
 def test_shapes_are_data_of_json():
@@ -376,6 +447,11 @@ def test_motion_along_a_mode_is_that_of_the_nonlinear_equations_to_second_order(
         errors.append(np.abs(run["q4"] - leaning).max())
     assert errors[0] < 0.02 * 0.02
     assert errors[0] / errors[1] > 3.9
+    four_bar = fb.load("four_bar")
+    x0 = four_bar.initial_state()
+    modes = [four_bar.linearize(0.0, x0, None, inputs).mode(0, duration=0.1) for inputs in ({"F": 1.0}, [1.0])]
+    np.testing.assert_array_equal(modes[0].y, modes[1].y)
+    np.testing.assert_array_equal(modes[0].r, 1.0)
     with pytest.raises(fb.ModelError, match="There are modes 0 to 9, not 10"):
         linear.mode(10)
     with pytest.raises(fb.ModelError, match="amplitude"):

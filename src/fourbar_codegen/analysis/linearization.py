@@ -16,8 +16,10 @@ from fourbar_codegen.interface.arguments import (
     Values,
     finite_number,
     is_integer,
+    is_mapping,
     listed,
     name_of,
+    named,
     named_array,
     positive,
 )
@@ -168,7 +170,11 @@ class Linearization(Sequence[Floats]):
         largest = np.abs(waves[:n_q]).max() or np.abs(waves).max()
         rates = np.concatenate((model.rhs(about.t, about.x, about.p, about.r)[:n_q], np.zeros(model.n_x - n_q)))
         states = about.x[:, np.newaxis] + np.outer(rates, t) + amplitude / largest * waves
-        inputs = None if about.r is None else dict(zip(model.inputs, np.asarray(about.r), strict=True))
+        inputs = None
+        if about.r is not None:  # their rates, which follow them, are zero
+            own = set(model.layout.own_inputs)
+            held = about.r if is_mapping(about.r) else dict(zip(model.inputs, np.asarray(about.r), strict=True))
+            inputs = {name: value for name, value in named(held, model.inputs, "input").items() if name in own}
         return trajectory(model, about.t + t, states, parameters=about.p, inputs=inputs)
 
     def __len__(self) -> int:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import sympy as sm
 from sympy.core.function import AppliedUndef
 
-from fourbar_codegen.body_shapes import BodyShape, named_shapes
+from fourbar_codegen.body_shapes import BodyShape, check_names, named_shapes
 from fourbar_codegen.errors import ModelError, nearest, shown
 from fourbar_codegen.expressions.convert import is_computable, smooth_sinc, without_impulses
 from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_of, slider_range
@@ -376,8 +376,15 @@ class Model:
         bodies, frames = self.mechanism.bodies, self.mechanism.frames
         of_frame = {frames[body.frame].name: body.name for body in reversed(bodies) if body.frame is not None}
         names = dict.fromkeys([*(body.name for body in bodies), *(frame.name for frame in frames)])
-        found = named_shapes(shapes, names)
-        return {of_frame.get(name, name) if name not in self._bodies() else name: found[name] for name in found}
+        found: dict[str, tuple[BodyShape, ...]] = {}
+        for name, of_body in named_shapes(shapes, names).items():
+            body = of_frame.get(name, name) if name not in self._bodies() else name
+            if body in found or self._bodies().count(body) > 1:
+                raise ModelError(f"Shapes are given twice for {body}, or two bodies have this name.")
+            found[body] = of_body
+        drawn = dict.fromkeys(point.name for point in self.mechanism.drawn if point.name)
+        check_names(found, [symbol.name for symbol in self.parameter_symbols], drawn)
+        return found
 
     def _bodies(self) -> tuple[str, ...]:
         return tuple(body.name for body in self.mechanism.bodies)

@@ -390,7 +390,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         + (f"\n{_label(modes.freedom)}" if modes.free else ""),
         wrap=True,
     )
-    low, high = (end(ends, axis=1) for end, ends in zip((np.nanmin, np.nanmax), drawn.limits(), strict=True))
+    low, high = (end.reduce(ends, axis=1) for end, ends in zip((np.fmin, np.fmax), drawn.limits(), strict=True))
     n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
         _draw(axes, drawn)(number)
@@ -675,7 +675,10 @@ def plot_frames(
     outside = at[~((min(first, last) <= at) & (at <= max(first, last)))]
     if outside.size:
         raise ModelError(f"times are between {first:g} and {last:g} s, where the run is, not {outside[0]:g}.")
-    drawn = frames_of(trajectory, lambda _, __: at, shapes)
+    # Whether it leaves a plane does not depend on the chosen times.
+    whole = frames_of(trajectory, lambda start, end: np.linspace(start, end, 50 if start != end else 1), shapes)
+    in_space = not whole.scene.is_planar
+    drawn = frames_of(trajectory, lambda _, __: at, shapes, in_space=in_space)
     figure, cells = _figure(len(at), replace(drawn.scene.view, is_planar=True))
     show, _ = _draw_frames(cells, drawn, {})
     for number, axes in enumerate(cells):
@@ -789,16 +792,19 @@ def _window_of(drawn: Frames) -> tuple[Floats, Floats]:
     if follows:
         seen = seen_obliquely(seen)
     low, high = seen.limits([row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
-    ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
-    size, largest = (ends[1] - ends[0])[:2], np.nanmax(high - low, axis=1)[:2]
+    ends = np.fmin.reduce(low, axis=1), np.fmax.reduce(high, axis=1)
+    size, largest = (ends[1] - ends[0])[:2], np.fmax.reduce(high - low, axis=1)[:2]
     if follows and size.max() > FAR * largest.max():
         middle, size = (low + high)[:2] / 2.0, largest
     else:
         low, high = seen.limits([*seen.shown, *tips])
-        ends = np.nanmin(low, axis=1), np.nanmax(high, axis=1)
+        ends = np.fmin.reduce(low, axis=1), np.fmax.reduce(high, axis=1)
         size = (ends[1] - ends[0])[:2]
         middle = np.repeat((ends[0] + ends[1])[:2, np.newaxis] / 2.0, seen.positions.shape[2], axis=1)
-    return middle, size / 2.0 + EDGE * (size.max() if follows else seen.size)
+    half = size / 2.0 + EDGE * (size.max() if follows else seen.size)
+    if not np.isfinite(middle).all() or not half.max() > 0.0:  # nothing to see
+        return np.nan_to_num(middle), np.full(2, seen.size)
+    return middle, half
 
 
 def write_animation(trajectory: Trajectory, path: Path, kind: str) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.body_shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Contact", "contacts", "found_shapes"]
+__all__ = ["Contact", "contacts", "found_shapes", "parts_of"]
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +118,8 @@ def _random_states(model: Kernel, p: Floats) -> _States:
         finite = np.isfinite(values)
         known &= (finite | ~finite.any(axis=0)).all(axis=1)
     points, rotations = points[known], rotations[known]
-    of = {point.body: number for number, point in enumerate(model.layout.drawing.points) if point.body}
+    bodies = [point.body for point in model.layout.drawing.points]
+    of = {body: number for number, body in enumerate(bodies) if body and bodies.count(body) == 1}
     placed = points[:, np.isfinite(points).all(axis=(0, 2))]
     size = float(np.ptp(placed, axis=1).max(initial=0.0)) or 1.0 if placed.size else 1.0
     return _States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
@@ -190,6 +191,8 @@ def _wheels(
             if length.min() < RTOL:
                 continue
             columns = np.stack([(steepest / length).ravel(), np.tile(-up, len(way))], axis=1)
+            if np.abs(steepest / length + up).max() <= RTOL:  # a wheel that never leans: both directions are the same
+                columns[:, 1] = 0.0
             (radius, tube), *_ = np.linalg.lstsq(columns, way.ravel(), rcond=None)
             error = np.abs(columns @ (radius, tube) - way.ravel()).max()
             if radius > 0.0 and error <= RTOL * radius and tube >= -RTOL * radius:
@@ -240,7 +243,7 @@ def found_shapes(
     mass_of = dict(zip(drawing.bodies, np.nan_to_num(masses), strict=True))
     for link, length, *ends in edges:
         # Bodies without mass, as in the frames between joints, give a link no name if others do.
-        name = " and ".join(part for part in link.split(" and ") if mass_of.get(part, 1.0)) or link
+        name = " and ".join(part for part in parts_of(link, drawing.bodies) if mass_of.get(part, 1.0)) or link
         if touching.isdisjoint(ends) and all(ends) and name not in wheels:
             radius = ROD * size
             if counts[link] == 1:  # a limb of a mass has about the density of water
@@ -248,7 +251,7 @@ def found_shapes(
                 radius = float(np.clip(limb, radius, MOST * radius))
             radius = float(f"{radius:.3g}")
             found[name] = (*found.get(name, ()), Line(points=tuple(ends), radius=radius))
-    linked = {body for name in found for body in name.split(" and ")}
+    linked = {body for name in found for body in parts_of(name, drawing.bodies)}
     for body, center in states.bodies:
         name, mass, inertia = drawing.bodies[body], masses[body], inertias[body]
         has_extent = mass > 0.0 and np.isfinite(inertia).all() and inertia.any()
@@ -270,6 +273,11 @@ def _named(model: Kernel, p: Floats, contact: Contact) -> float | str:
             if radii and abs(radii[0] - other[place]) <= RTOL * radii[0]:
                 return name
     return float(f"{contact.radius:.12g}")
+
+
+def parts_of(link: str, bodies: Sequence[str]) -> list[str]:
+    """The names of the bodies that a link consists of."""
+    return [link] if link in bodies else link.split(" and ")
 
 
 def _box(mass: float, inertia: Floats) -> Box:

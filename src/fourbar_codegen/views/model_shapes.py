@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fourbar_codegen.body_shapes import BodyShape, data_of, named_shapes, shapes_of
+from fourbar_codegen.body_shapes import BodyShape, check_names, data_of, named_shapes, shapes_of
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import ShapeKind
 from fourbar_codegen.views.scene import scene, view_of
@@ -47,4 +47,6 @@ def all_shapes(model: Kernel) -> dict[str, tuple[BodyShape, ...]]:
 
 def set_shapes(model: Kernel, shapes: ShapesLike) -> None:
     """Give a model shapes: see `CompiledModel.shapes`."""
-    model.body_shapes = data_of(named_shapes(shapes, _names(model)))
+    given = named_shapes(shapes, _names(model))
+    check_names(given, model.parameters, model.points)
+    model.body_shapes = data_of(given)

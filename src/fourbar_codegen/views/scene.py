@@ -19,7 +19,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Point, Shape
-from fourbar_codegen.views.found_shapes import contacts, found_shapes
+from fourbar_codegen.views.found_shapes import contacts, found_shapes, parts_of
 from fourbar_codegen.views.solids import Solid, solids_of
 
 __all__ = ["Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
@@ -267,9 +267,9 @@ class Scene:
             corners = np.einsum("ijt,nj->nit", rotations, solid.corners) + places
             low += [*corners]
             high += [*corners]
-        with warnings.catch_warnings():  # instants at which nothing has a place
-            warnings.simplefilter("ignore", RuntimeWarning)
-            return np.nanmin(low, axis=0), np.nanmax(high, axis=0)
+        if not low:
+            low = high = [np.full((3, self.positions.shape[2]), np.nan)]
+        return np.fmin.reduce(low), np.fmax.reduce(high)
 
     @property
     def body_size(self) -> float:
@@ -404,7 +404,7 @@ def scene(
     shapes = {
         name: of_body
         for name, of_body in found_shapes(model, p, longest, on_ground, edges).items()
-        if given.keys().isdisjoint((name, *name.split(" and ")))
+        if given.keys().isdisjoint((name, *parts_of(name, model.layout.drawing.bodies)))
     }
     shapes |= given
     fixed = np.repeat(np.eye(3)[np.newaxis, :, :, np.newaxis], positions.shape[2], axis=3)  # to the ground
@@ -473,7 +473,7 @@ def _with_center(positions: Floats, shape: Shape, entries: Sequence[Point]) -> t
     """The points of a link, and its mass centre if that is far from the line between two of them."""
     centers = [row for row, entry in enumerate(entries) if entry.body == shape.name and row not in shape.points]
     instants = np.flatnonzero(np.isfinite(positions).all(axis=(0, 1)))
-    if len(shape.points) != 2 or not centers or not instants.size:
+    if len(shape.points) != 2 or len(centers) != 1 or not instants.size:
         return shape.points
     a, b, center = positions[[*shape.points, centers[0]], :, instants[0]]
     length = np.linalg.norm(b - a)

@@ -80,7 +80,7 @@ def ground(drawn: Scene) -> list[Stroke]:
     if not heights.size:
         return []
     lows, highs = drawn.limits()
-    low, high = np.nanmin(lows, axis=1), np.nanmax(highs, axis=1)
+    low, high = np.fmin.reduce(lows, axis=1), np.fmax.reduce(highs, axis=1)
     step, z = float((high - low)[:2].max()) / LINES, heights.min()
     x, y = (np.arange(np.floor(low[k] / step), np.ceil(high[k] / step) + 1.0) * step for k in range(2))
     lines = [[(at, y[0], z), (at, y[-1], z)] for at in x] + [[(x[0], at, z), (x[-1], at, z)] for at in y]
@@ -179,6 +179,8 @@ def _filled(corners: Floats, rgb: Floats, width: int, height: int) -> Floats:
     Source: J. Pineda, "A parallel algorithm for polygon rasterization", *SIGGRAPH Computer Graphics* 22 (1988).
     """
     image = np.zeros((height * width, 4))
+    if not len(corners):
+        return image.reshape(height, width, 4)
     low, high = corners[:, :, :2].min(axis=1), corners[:, :, :2].max(axis=1)
     inside = (high >= 0.0).all(axis=1) & (low <= (width, height)).all(axis=1)
     corners, rgb, low, high = corners[inside], rgb[inside], low[inside], high[inside]

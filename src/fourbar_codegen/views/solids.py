@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen import body_shapes as shapes
-from fourbar_codegen.body_shapes import BodyShape, CoordinateFrame, Line
+from fourbar_codegen.body_shapes import BodyShape, CoordinateFrame, Line, check_names
 from fourbar_codegen.body_shapes import Mesh as FileMesh
 from fourbar_codegen.errors import ModelError
 from fourbar_codegen.interface.extras import imported
@@ -131,22 +131,22 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
     ground = next((shape.name for shape in drawing.shapes if shape.kind == ShapeKind.GROUND), "")
     centers.setdefault(ground, 0)  # the fixed point comes first
 
-    def size(value: float | str) -> float:
-        if isinstance(value, str) and value not in values:
-            raise ModelError(f"A shape has the size {value}, which is no parameter; there are {', '.join(values)}.")
+    check_names(found, values, rows)
+
+    def length_of(value: float | str) -> float:
         return values[value] if isinstance(value, str) else value
 
-    def row_of(name: str) -> int:
-        if name not in rows:
-            raise ModelError(f"A shape names a point {name}, which is not drawn; there are {', '.join(rows)}.")
-        return rows[name]
+    def size(value: float | str) -> float:
+        if not length_of(value) > 0.0:
+            raise ModelError(f"The size {value} of a shape is {length_of(value):g}: it must be positive.")
+        return length_of(value)
 
     for number, (name, of_body) in enumerate(found.items()):
         for shape in of_body:
             is_round = isinstance(shape, shapes.Wheel | shapes.Torus | shapes.Disc)
             color = COLORS.get(shape.color, shape.color) or (ROUND if is_round else PALETTE[number % len(PALETTE)])
             if isinstance(shape, Line):
-                ends = [row_of(point) for point in shape.points]
+                ends = [rows[point] for point in shape.points]
                 for row, to in itertools.pairwise(ends):
                     lengths = np.linalg.norm(positions[to] - positions[row], axis=0)
                     known = lengths[np.isfinite(lengths)]
@@ -158,9 +158,9 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
             if turn is None:  # of a particle, or of the ground: the last rotation of a scene
                 turn = len(drawing.bodies)
             if isinstance(shape.at, str):
-                row, offset = row_of(shape.at), np.zeros(3)
+                row, offset = rows[shape.at], np.zeros(3)
             elif name in centers:
-                row, offset = centers[name], np.array([size(part) for part in shape.at])
+                row, offset = centers[name], np.array([length_of(part) for part in shape.at])
             else:
                 continue  # a body whose position is not known
             sizes = [size(getattr(shape, part)) for part in shape.sizes]

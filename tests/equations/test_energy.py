@@ -231,7 +231,10 @@ def test_spring_without_antiderivative_is_named_in_runs_files_and_plots(tmp_path
     assert run.to_xarray().potential_energy.attrs["without"] == name
     for suffix in (".npz", ".nc"):
         assert fb.load_trajectory(run.save(tmp_path / f"run{suffix}")).energy_without == (name,)
-    assert [axes.get_title(loc="left") for axes in run.plot(["x", "energy"]).axes] == ["x", f"energy without {name}"]
+    assert [axes.get_title(loc="left") for axes in run.plot(["x", "energy"]).axes] == [
+        "x (rad or m)",
+        f"energy without {name} (J)",
+    ]
 
 
 def disc(*loads, rates="inertial"):

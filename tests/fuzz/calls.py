@@ -324,6 +324,7 @@ def calls_of(name: str) -> dict[str, Call]:
     calls.add("trajectory.report", trajectory.report, height=500, share=0.05)
     page = {"t_span": (0.0, 0.1), "x0": x0, "ranges": {"k": (1.0, 2.0)}, "traces": ["P2"], "watch": [("range", "q1")]}
     calls.add("page", model.page, **page, parameters={"k": 100.0}, inputs={"F": 0.0}, height=500, share=0.05)
+    calls.add("trajectory.plot_frames", trajectory.plot_frames, times=[0.0, float(trajectory.t[-1])], share=0.02)
     calls.add("trajectory.plot_paths", trajectory.plot_paths, points=[model.points[0]], share=0.02)
     calls.add("trajectory", model.trajectory, t=times, x=states, parameters=p, inputs=sources, share=0.3)
     calls.add(

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError, shown
-from fourbar_codegen.interface.arguments import name_of, positive
+from fourbar_codegen.interface.arguments import name_of, numbers, positive
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.views.frames import Frames, equal_times, frames_of
@@ -669,7 +669,7 @@ def plot_frames(
     >>> figure = run.plot_frames([0.0, 0.25, 0.5])  # doctest: +SKIP
     """
     first, last = (trajectory.t[0], trajectory.t[-1]) if len(trajectory.t) else (0.0, 0.0)
-    at = np.linspace(first, last, 3) if times is None else np.atleast_1d(np.array(times, dtype=float))
+    at = np.linspace(first, last, 3) if times is None else np.atleast_1d(numbers(times, "times"))
     if at.ndim != 1 or not 0 < len(at) <= MAX_PANELS:
         raise ModelError(f"times are 1 to {MAX_PANELS} instants, not {shown(times)}.")
     outside = at[~((min(first, last) <= at) & (at <= max(first, last)))]

@@ -46,8 +46,12 @@ Place = tuple[Size, Size, Size] | str
 SMALLEST = 1e-100
 """Length of a direction, whose square is not zero."""
 
-COLORS = ("black", "white", "grey", "red", "green", "blue", "orange", "yellow", "purple", "brown", "cyan", "pink")
-"""Names of colours, besides ``#rrggbb``."""
+COLORS = {
+    "black": "#222222", "white": "#f4f4f4", "grey": "#8a8f96", "red": "#c8423b", "green": "#4b9a5a", "blue": "#4474b8",
+    "orange": "#e0913a", "yellow": "#e3c13d", "purple": "#8b6bb1", "brown": "#8a6248", "cyan": "#3d9aa8",
+    "pink": "#d77ba8",
+}  # fmt: skip
+"""Colours by their names, besides ``#rrggbb``."""
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -68,11 +72,15 @@ class BodyShape:
     """
 
     sizes: ClassVar[tuple[str, ...]] = ()
+    """Names of the fields that are sizes."""
 
     at: Place = (0.0, 0.0, 0.0)
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     x_axis: tuple[float, float, float] | None = None
     color: str = ""
+
+    def __init_subclass__(cls) -> None:
+        cls.sizes = tuple(name for name, kind in cls.__annotations__.items() if kind == "Size")
 
     def __post_init__(self) -> None:
         for name in self.sizes:
@@ -129,7 +137,6 @@ class Sphere(BodyShape):
     0.1
     """
 
-    sizes = ("radius",)
     radius: Size
 
 
@@ -137,7 +144,6 @@ class Sphere(BodyShape):
 class Ellipsoid(BodyShape):
     """An ellipsoid with its half axes along the body's."""
 
-    sizes = ("x", "y", "z")
     x: Size
     y: Size
     z: Size
@@ -147,7 +153,6 @@ class Ellipsoid(BodyShape):
 class Box(BodyShape):
     """A box with the lengths of its edges along the body's axes."""
 
-    sizes = ("x", "y", "z")
     x: Size
     y: Size
     z: Size
@@ -157,7 +162,6 @@ class Box(BodyShape):
 class Cylinder(BodyShape):
     """A cylinder about its axis."""
 
-    sizes = ("radius", "length")
     radius: Size
     length: Size
 
@@ -166,7 +170,6 @@ class Cylinder(BodyShape):
 class Capsule(BodyShape):
     """A rod with round ends; `length` is that between their centres."""
 
-    sizes = ("radius", "length")
     radius: Size
     length: Size
 
@@ -175,7 +178,6 @@ class Capsule(BodyShape):
 class Cone(BodyShape):
     """A cone with its tip in the direction of its axis; `at` is halfway up."""
 
-    sizes = ("radius", "length")
     radius: Size
     length: Size
 
@@ -184,7 +186,6 @@ class Cone(BodyShape):
 class Disc(BodyShape):
     """A disc with a sharp edge, on which it rolls."""
 
-    sizes = ("radius", "thickness")
     radius: Size
     thickness: Size
 
@@ -193,7 +194,6 @@ class Disc(BodyShape):
 class Wheel(BodyShape):
     """A wheel with spokes and a sharp rim, on whose edge it rolls."""
 
-    sizes = ("radius",)
     radius: Size
 
 
@@ -201,7 +201,6 @@ class Wheel(BodyShape):
 class Torus(BodyShape):
     """A torus, such as a tyre; `radius` is that of the circle in its tube."""
 
-    sizes = ("radius", "tube_radius")
     radius: Size
     tube_radius: Size
 
@@ -210,7 +209,6 @@ class Torus(BodyShape):
 class Plane(BodyShape):
     """A thin square at right angles to its axis."""
 
-    sizes = ("length",)
     length: Size
 
 
@@ -218,7 +216,6 @@ class Plane(BodyShape):
 class Arrow(BodyShape):
     """An arrow from `at` in the direction of its axis."""
 
-    sizes = ("length",)
     length: Size
 
 
@@ -226,7 +223,6 @@ class Arrow(BodyShape):
 class CoordinateFrame(BodyShape):
     """The axes of the body: x red, y green, z blue."""
 
-    sizes = ("length",)
     length: Size
 
 
@@ -234,7 +230,6 @@ class CoordinateFrame(BodyShape):
 class Line(BodyShape):
     """A rod between points of the mechanism, by their names."""
 
-    sizes = ("radius",)
     points: tuple[str, ...]
     radius: Size
 
@@ -257,17 +252,13 @@ class Mesh(BodyShape):
         A file in millimetres has the scale 0.001.
     """
 
-    sizes = ("scale",)
     path: str
     scale: Size = 1.0
 
 
 KINDS: dict[str, type[BodyShape]] = {
-    kind.__name__: kind
-    for kind in (
-        Arrow, Box, Capsule, Cone, CoordinateFrame, Cylinder, Disc, Ellipsoid, Line, Mesh, Plane, Sphere, Torus, Wheel,
-    )
-}  # fmt: skip
+    kind.__name__: kind for kind in sorted(BodyShape.__subclasses__(), key=lambda kind: kind.__name__)
+}
 """All shapes by their names."""
 
 

@@ -367,8 +367,10 @@ def matrix(name: str, rows: Sequence[Sequence[Scalar]], columns: int) -> Result:
 def of_known(variables: Variables, entries: Sequence[Scalar]) -> list[Scalar]:
     """The entries; NaN for those that contain other parameters or inputs than the variables."""
     tape, known = variables.time.tape, {leaf.node for leaf in (*variables.parameters, *variables.inputs)}
-    left_out = [Scalar(tape, 1, n) for n in tape.reach(entries) if n not in known and _is_argument(tape.nodes[n])]
-    return [tape.number(float("nan")) if tape.depends([entry], left_out) else entry for entry in entries]
+    reached = tape.reach(entries)
+    left_out = [Scalar(tape, 1, n) for n in reached if n not in known and _is_argument(tape.nodes[n])]
+    unknown = tape.dependent(reached, left_out) if left_out else set()
+    return [tape.number(float("nan")) if entry.node in unknown else entry for entry in entries]
 
 
 def _is_argument(node: Node) -> bool:

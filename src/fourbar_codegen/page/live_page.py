@@ -29,7 +29,7 @@ from fourbar_codegen.interface.arguments import (
 from fourbar_codegen.interface.notebook import Page
 from fourbar_codegen.interface.paths import path_of, write_whole
 from fourbar_codegen.kernel.inputs import by_name, is_held
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.page.webassembly import page_module
 from fourbar_codegen.runtime.enumerations import STEP_CONTROLLED, VECTORS, EventRow, Watched
 from fourbar_codegen.simulation.events import EventLike, named_events
@@ -209,7 +209,7 @@ def _text(
     events: Sequence[tuple[str, EventRow]],
 ) -> str:
     model = run.kernel
-    parameters = dict(zip(model.parameters, _parameters(run), strict=True))
+    parameters = dict(zip(model.parameters, parameter_array(model, run.parameters).tolist(), strict=True))
     found = _scene(run)
     names = [name for _, of_panel, _ in panel_names(model) for name in of_panel]
     names += [name for vector in VECTORS for name in vector.components]
@@ -277,11 +277,6 @@ def _text(
     return html_text("page/page.html", model.name, data, SCRIPTS, LAYOUT=html_file("page/page.css"))
 
 
-def _parameters(run: Trajectory) -> list[float]:
-    values = run.kernel.defaults.values() if run.parameters is None else run.parameters
-    return [float(value) for value in values if value is not None]
-
-
 def _scene(run: Trajectory) -> Scene:
     """What is drawn: what stays together in the run, and with lengths that are a little different."""
     model, start, end = run.kernel, run.t[0], run.t[-1]
@@ -292,7 +287,7 @@ def _scene(run: Trajectory) -> Scene:
     every = np.concatenate([positions, *_neighbours(run, size)], axis=2)
     # Orientations count only in so far as there are bodies: the page has its own.
     turns = np.concatenate([turns, np.repeat(turns[..., :1], every.shape[2] - turns.shape[3], axis=3)], axis=3)
-    p = np.array(_parameters(run))
+    p = parameter_array(model, run.parameters)
     return scene(model, every, rotations=turns, p=p, given=given_shapes(model))
 
 
@@ -301,7 +296,7 @@ def _neighbours(run: Trajectory, size: float) -> list[Floats]:
     model = run.kernel
     found = []
     for share in (NEARBY, -NEARBY / 2.0, NEARBY / 8.0):
-        values = dict(zip(model.parameters, _parameters(run), strict=True))
+        values = dict(zip(model.parameters, parameter_array(model, run.parameters).tolist(), strict=True))
         for number, name in enumerate(model.layout.geometry, start=1):
             values[name] += share * math.sin(number) * (abs(values[name]) or size)
         try:
@@ -339,7 +334,7 @@ def _modes(run: Trajectory) -> list[Floats]:
     model, first = run.kernel, run.y[:, 0]
     if not model.layout.n_dependent_coordinates:
         return [first]
-    parameters = dict(zip(model.parameters, _parameters(run), strict=True))
+    parameters = dict(zip(model.parameters, parameter_array(model, run.parameters).tolist(), strict=True))
     found = initial_states(
         model, **_independent(model, first), t=float(run.t[0]), parameters=parameters, inputs=run.inputs
     )

@@ -128,26 +128,11 @@ const positionsOf = run => {
 };
 let arrowScale = 0;
 
-// The quaternion of a rotation matrix of three columns. Source: S. W. Shepperd, "Quaternion from rotation matrix",
-// Journal of Guidance and Control 1 (1978): the largest component is found first.
-const quaternionOf = ([a, b, c]) => {
-  const squares = [a[0] - b[1] - c[2], b[1] - a[0] - c[2], c[2] - a[0] - b[1], a[0] + b[1] + c[2]];
-  const largest = squares.indexOf(Math.max(...squares)), r = Math.sqrt(1 + squares[largest]) / 2, f = 0.25 / r;
-  const [x, y, z] = [b[2] - c[1], c[0] - a[2], a[1] - b[0]], [xy, xz, yz] = [a[1] + b[0], c[0] + a[2], b[2] + c[1]];
-  return [[r, f * xy, f * xz, f * x], [f * xy, r, f * yz, f * y], [f * xz, f * yz, r, f * z],
-    [f * x, f * y, f * z, r]][largest] ?? [NaN, NaN, NaN, NaN];
-};
-// Quaternions of the bodies, and of the inertial frame, in the coordinates of the view.
-const quaternionsOf = run => {
-  const m = data.bodies + 1, found = new Float64Array(4 * run.n * m);
-  const start = data.columns.length + 3 * (data.points + data.forces.length);
-  for (let i = 0; i < run.n; ++i) for (let k = 0; k < m; ++k) {
-    const at = i * run.length + start + 9 * k;
-    const given = k < data.bodies ? run.rows.subarray(at, at + 9) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
-    const columns = [0, 1, 2].map(j => turned([given[j], given[3 + j], given[6 + j]]));
-    found.set(quaternionOf(columns), 4 * (i * m + k));
-  }
-  return found;
+// The rotation matrix of a body at a time, or of the inertial frame after the bodies, in the coordinates of the view.
+const turnOfRun = run => (i, k) => {
+  const at = i * run.length + data.columns.length + 3 * (data.points + data.forces.length) + 9 * k;
+  const given = k < data.bodies ? run.rows.subarray(at, at + 9) : [1, 0, 0, 0, 1, 0, 0, 0, 1];
+  return [0, 1, 2].flatMap(j => turned([given[j], given[3 + j], given[6 + j]]));
 };
 // The ends of a guide that is as long as the way of the point that slides on it, and a margin.
 const placeGuide = (found, n, m, [sliding, base, tip], at) => {
@@ -209,8 +194,8 @@ addEventListener("resize", () => {
 
 const show = run => {
   const isFirst = shownRun === null;
-  shownRun = {...run, positions: positionsOf(run), turns: data.scene.solids.length ? quaternionsOf(run) : []};
-  picture.set(shownRun.positions, data.rows, before && before.positions, shownRun.turns, run.settings.parameters);
+  shownRun = {...run, positions: positionsOf(run)};
+  picture.set(shownRun.positions, data.rows, before && before.positions, turnOfRun(run), run.settings.parameters);
   if (isFirst) followBox(byId("follow"), picture);
   else if (settled) picture.fit();
   picture.drawTraces();

@@ -96,11 +96,8 @@ SMOOTH = 401
 
 TRACE = "tab:red"
 
-LOOKS = {
-    "link": ("0.25", 3.0), "line": ("0.25", 1.5), "actuator": ("tab:red", 2.5), "spring": ("tab:green", 1.5),
-    "damper": ("tab:green", 1.5), "arrow": ("tab:orange", 2.0),
-}  # fmt: skip
-"""Colours and widths of lines among bodies."""
+AMONG_BODIES = ("link", "line", "actuator", "spring", "damper", "arrow")
+"""Lines that are drawn among bodies."""
 
 IN_SPACE = ("spring", "damper")
 """Symbols beside bodies with shapes."""
@@ -565,51 +562,46 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
 
 
 def _draw_frames(
-    cells: Sequence[Any], drawn: Frames, traces: Mapping[str, Floats], shape: Floats | None = None
-) -> tuple[Callable[[int, int], None], Floats]:
+    cells: Sequence[Any], drawn: Frames, seen: Scene, traces: Mapping[str, Floats], window: tuple[Floats, Floats]
+) -> Callable[[int, int], None]:
     """Draw a run without axes, in a plane or as seen from above the side.
 
     Parameters
     ----------
     cells : sequence of matplotlib.axes.Axes
     drawn : Frames
+    seen : Scene
+        That of the frames, as it is seen.
     traces : mapping of name to ndarray, shape (3, n)
         Paths of points in the inertial frame.
-    shape : ndarray, shape (2,), optional
-        Width and height of the axes, which the window has then.
+    window : tuple of ndarray
+        As `_window` returns it.
 
     Returns
     -------
     callable
         Shows an instant, by its number, in one of the cells.
-    ndarray, shape (2,)
-        Half of the sizes of the window, m.
     """
-    scene = drawn.scene
-    seen = scene if scene.is_planar else seen_obliquely(scene)
-    middle, half = _window_of(drawn)
-    if shape is not None:
-        half = shape * np.max(half / shape)
+    middle, half = window
     paths = [seen.view(path) for path in traces.values()]
     movers: list[Callable[[int], None]] = []
     for axes in cells:
         axes.set_aspect("equal")
         axes.set_axis_off()
-        if scene.is_planar:
+        if drawn.scene.is_planar:
             for path in paths:
                 axes.plot(*path[:2], color=TRACE, linewidth=1.0, zorder=1)
             movers.append(_draw(axes, seen, drawn.arrows))
         else:
-            movers.append(
-                _draw_obliquely(axes, seen, drawn, [Stroke(path, TRACE, 1.2) for path in paths], middle, half)
-            )
+            strokes = [Stroke(path, TRACE, 1.2) for path in paths]
+            movers.append(_draw_obliquely(axes, seen, drawn, strokes, middle, half))
 
     def show(cell: int, instant: int) -> None:
         movers[cell](instant)
         cells[cell].set_xlim(*(middle[0, instant] + half[0] * ENDS))
         cells[cell].set_ylim(*(middle[1, instant] + half[1] * ENDS))
 
-    return show, half
+    return show
 
 
 def _draw_obliquely(
@@ -619,9 +611,14 @@ def _draw_obliquely(
     still, styled = [*ground(drawn.scene), *paths], _styled(seen, drawn.arrows)
 
     def strokes(instant: int) -> list[Stroke]:
-        moving = [Stroke(points[:, :, instant], *LOOKS[kind]) for kind, points in styled if kind in LOOKS]
-        heads = [stroke for stroke in moving if stroke.color == LOOKS["arrow"][0] and stroke.points.shape[1] == 2]
-        return [*still, *moving, *(replace(stroke, points=_head(stroke.points, half.max())) for stroke in heads)]
+        found = [*still]
+        for kind, points in styled:
+            if kind in AMONG_BODIES:
+                color, width = STYLES[kind]["color"], STYLES[kind]["linewidth"]
+                found.append(Stroke(points[:, :, instant], color, width))
+                if kind == "arrow":
+                    found.append(Stroke(_head(points[:, :, instant], half.max()), color, width))
+        return found
 
     show = draw_solids(axes, seen, strokes)
     return lambda instant: show(instant, middle[:, instant], half)
@@ -680,7 +677,8 @@ def plot_frames(
     in_space = not whole.scene.is_planar
     drawn = frames_of(trajectory, lambda _, __: at, shapes, in_space=in_space)
     figure, cells = _figure(len(at), replace(drawn.scene.view, is_planar=True))
-    show, _ = _draw_frames(cells, drawn, {})
+    seen = _seen(drawn)
+    show = _draw_frames(cells, drawn, seen, {}, _window(drawn, seen))
     for number, axes in enumerate(cells):
         show(number, number)
         axes.set_title(f"t = {at[number]:g} s", fontsize="small")
@@ -749,9 +747,11 @@ def animate(
         paths = {name: finer[name] for name in traced}
     figure = figures.Figure(figsize=(6.0, 6.0))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    _, half = _window_of(drawn)
+    seen = _seen(drawn)
+    middle, half = _window(drawn, seen)
     figure.set_figheight(6.0 * np.clip(half[1] / half[0], 0.4, 1.5))  # as high as needed
-    move, _ = _draw_frames([axes], drawn, paths, figure.get_size_inches())
+    shape = figure.get_size_inches()
+    move = _draw_frames([axes], drawn, seen, paths, (middle, shape * np.max(half / shape)))
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
     def show(frame: int) -> None:
@@ -785,12 +785,14 @@ def animate_mode(linear: Linearization, number: int, **how: Any) -> FuncAnimatio
     return animate(linear.mode(number, **of_mode), **how)
 
 
-def _window_of(drawn: Frames) -> tuple[Floats, Floats]:
+def _seen(drawn: Frames) -> Scene:
+    """The scene in a plane, or as it is seen from above the side."""
+    return drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
+
+
+def _window(drawn: Frames, seen: Scene) -> tuple[Floats, Floats]:
     """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); in space it follows what goes far."""
-    seen, tips = drawn.scene, [*chain(*drawn.arrows.items())]
-    follows = not seen.is_planar
-    if follows:
-        seen = seen_obliquely(seen)
+    tips, follows = [*chain(*drawn.arrows.items())], not drawn.scene.is_planar
     low, high = seen.limits([row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
     ends = np.fmin.reduce(low, axis=1), np.fmax.reduce(high, axis=1)
     size, largest = (ends[1] - ends[0])[:2], np.fmax.reduce(high - low, axis=1)[:2]

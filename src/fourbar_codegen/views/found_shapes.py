@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.body_shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Contact", "contacts", "found_shapes", "parts_of"]
+__all__ = ["Contact", "States", "contacts", "found_shapes", "parts_of", "random_states"]
 
 Floats = NDArray[np.float64]
 
@@ -56,8 +56,6 @@ class Contact:
     radius, tube_radius : float
         The contact point lies a radius from the centre, in the direction of steepest descent in the wheel's plane, and
         then a tube's radius downwards.
-    up : ndarray, shape (3,)
-        In the inertial frame.
     """
 
     body: int
@@ -66,12 +64,23 @@ class Contact:
     axis: Floats
     radius: float
     tube_radius: float
-    up: Floats
 
 
 @dataclass(frozen=True)
-class _States:
-    """Drawn points, (n_states, n_points, 3), and rotation matrices, (n_states, n_bodies, 3, 3), at random states."""
+class States:
+    """Where points and bodies are at random states.
+
+    Attributes
+    ----------
+    points : ndarray, shape (n_states, n_points, 3)
+        The drawn points.
+    rotations : ndarray, shape (n_states, n_bodies, 3, 3)
+        Of the drawn bodies.
+    centers : tuple of (int or None)
+        For each of these, the number of its mass centre; None where it is not drawn, or two bodies have one name.
+    size : float
+        The largest distance of two points along an axis, m.
+    """
 
     points: Floats
     rotations: Floats
@@ -103,7 +112,8 @@ class _States:
         return bool(max(turns, np.ptp(self.points[:, center], axis=0).max(initial=0.0) / self.size) > RTOL)
 
 
-def _random_states(model: Kernel, p: Floats) -> _States:
+def random_states(model: Kernel, p: Floats) -> States:
+    """Where points and bodies are at 20 random states, at which invariants, such as norms of quaternions, hold."""
     generator, times = np.random.default_rng(0), np.linspace(0.0, 1.0, N_STATES)
     x, r = generator.uniform(-1.0, 1.0, (model.n_x, N_STATES)), generator.uniform(-1.0, 1.0, (model.n_r, N_STATES))
     if model.n_i:
@@ -122,16 +132,16 @@ def _random_states(model: Kernel, p: Floats) -> _States:
     of = {body: number for number, body in enumerate(bodies) if body and bodies.count(body) == 1}
     placed = points[:, np.isfinite(points).all(axis=(0, 2))]
     size = float(np.ptp(placed, axis=1).max(initial=0.0)) or 1.0 if placed.size else 1.0
-    return _States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
+    return States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
 
 
-def contacts(model: Kernel, p: Floats) -> tuple[Contact, ...]:
+def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     """The wheels of a model that roll on the ground, one for each contact point.
 
     Parameters
     ----------
     model : Kernel
-    p : ndarray, shape (n_p,)
+    states : States
 
     Returns
     -------
@@ -145,7 +155,6 @@ def contacts(model: Kernel, p: Floats) -> tuple[Contact, ...]:
     Source: J. P. Meijaard, J. M. Papadopoulos, A. Ruina, A. L. Schwab, "Linearized dynamics equations for the balance
     and steer of a bicycle", Proceedings of the Royal Society A 463 (2007), for knife-edge wheels.
     """
-    states = _random_states(model, p)
     if len(states.points) < 2:
         return ()
     fixed = {body: states.fixed(body, center) for body, center in states.bodies}
@@ -172,7 +181,7 @@ def _upwards(model: Kernel) -> list[Floats]:
 
 
 def _wheels(
-    states: _States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
+    states: States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
 ) -> Iterator[tuple[Contact, float]]:
     """How a point may be the contact point of a body, if it is, and how far the wheel turns past it."""
     rotations = states.rotations[:, body]
@@ -198,12 +207,17 @@ def _wheels(
             if radius > 0.0 and error <= RTOL * radius and tube >= -RTOL * radius:
                 spin = float(np.ptp(local, axis=0).max()) * (1.0 if place == center else 1e-3)
                 tube = 0.0 if tube <= RTOL * radius else float(tube)
-                yield Contact(body, place, point, axis, float(radius), tube, up), spin
+                yield Contact(body, place, point, axis, float(radius), tube), spin
                 return
 
 
 def found_shapes(
-    model: Kernel, p: Floats, size: float, on_ground: Sequence[Contact], edges: Sequence[tuple[str, float, str, str]]
+    model: Kernel,
+    p: Floats,
+    states: States,
+    size: float,
+    on_ground: Sequence[Contact],
+    edges: Sequence[tuple[str, float, str, str]],
 ) -> dict[str, tuple[BodyShape, ...]]:
     """Shapes of all bodies of a model, by the names of bodies and of links without mass.
 
@@ -211,6 +225,8 @@ def found_shapes(
     ----------
     model : Kernel
     p : ndarray, shape (n_p,)
+    states : States
+        With these parameters.
     size : float
         That of the longest link, m.
     on_ground : sequence of Contact
@@ -224,19 +240,20 @@ def found_shapes(
         edges; of bodies without either, the uniform box of the same mass and central inertia; of particles, balls.
     """
     found: dict[str, tuple[BodyShape, ...]] = {}
-    drawing, states = model.layout.drawing, _random_states(model, p)
+    drawing = model.layout.drawing
     for contact in on_ground:
-        name, at = drawing.bodies[contact.body], drawing.points[contact.center].name
-        axis = _three(contact.axis)
+        name, radius = drawing.bodies[contact.body], _named(model, p, contact)
+        at, axis = drawing.points[contact.center].name, _three(contact.axis)
         others = [(body, centre) for body, centre in states.bodies if body != contact.body]
         is_held = any(states.fixed(body, centre)[contact.center] for body, centre in others)
         if contact.tube_radius:
-            found[name] = (Torus(_named(model, p, contact), contact.tube_radius, at=at, axis=axis),)
+            found[name] = (Torus(radius, contact.tube_radius, at=at, axis=axis),)
             if is_held:
-                found[name] += (Wheel(_named(model, p, contact), at=at, axis=axis),)
+                found[name] += (Wheel(radius, at=at, axis=axis),)
+        elif is_held:
+            found[name] = (Wheel(radius, at=at, axis=axis),)
         else:
-            radius, thickness = _named(model, p, contact), THIN * contact.radius
-            found[name] = (Wheel(radius, at=at, axis=axis) if is_held else Disc(radius, thickness, at=at, axis=axis),)
+            found[name] = (Disc(radius, THIN * contact.radius, at=at, axis=axis),)
     touching = {drawing.points[contact.point].name for contact in on_ground}
     wheels, counts = {*found}, Counter(name for name, *_ in edges)
     masses, inertias = model.mass_properties(0.0, np.zeros(model.n_x), p, np.zeros(model.n_r))
@@ -269,7 +286,7 @@ def _named(model: Kernel, p: Floats, contact: Contact) -> float | str:
         if abs(p[place] - contact.radius) <= RTOL * contact.radius:
             other = p.copy()
             other[place] *= LONGER
-            radii = [c.radius for c in contacts(model, other) if c.body == contact.body]
+            radii = [c.radius for c in contacts(model, random_states(model, other)) if c.body == contact.body]
             if radii and abs(radii[0] - other[place]) <= RTOL * radii[0]:
                 return name
     return float(f"{contact.radius:.12g}")

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.errors import ModelError
+from fourbar_codegen.kernel.kernel import parameter_array
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.views.model_shapes import ShapesLike, given_shapes
 from fourbar_codegen.views.scene import Scene, scene
@@ -80,7 +81,7 @@ def frames_of(
         raise ModelError(f"There is nothing of {model.name} to draw: the run has no states.")
     shown = trajectory.resample(times(t[0], t[-1]))
     positions, _ = model.drawing_along(shown.t, shown.y, shown.r, shown.parameters)
-    values = np.array([*model.defaults.values()] if shown.parameters is None else shown.parameters, dtype=float)
+    values = parameter_array(model, shown.parameters)
     rotations = model.orientations_along(shown.t, shown.y, shown.r, shown.parameters)
     found = scene(model, positions, rotations=rotations, p=values, given=given_shapes(model, shapes), in_space=in_space)
     # Forces that are not finite have no arrow.

@@ -68,15 +68,13 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float) -> dict[st
 
 def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
     """Meshes, each once, and the solids that have them."""
-    meshes: dict[str, int] = {}
+    meshes: dict[tuple[str, str, str], int] = {}
     entries = []
     for solid in solids:
-        mesh = json.dumps(
-            {
-                "vertices": packed(solid.mesh.vertices * scale),
-                "normals": packed(np.round(solid.mesh.normals * 127.0), "<i1"),
-                "faces": packed(solid.mesh.faces, "<u2"),
-            }
+        mesh = (
+            packed(solid.mesh.vertices * scale),
+            packed(np.round(solid.mesh.normals * 127.0), "<i1"),
+            packed(solid.mesh.faces, "<u2"),
         )
         entries.append(
             {
@@ -93,7 +91,8 @@ def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
                 "value": solid.value,
             }
         )
-    return {"meshes": [json.loads(mesh) for mesh in meshes], "solids": entries}
+    parts = ("vertices", "normals", "faces")
+    return {"meshes": [dict(zip(parts, mesh, strict=True)) for mesh in meshes], "solids": entries}
 
 
 def quaternions(rotations: Floats) -> Floats:

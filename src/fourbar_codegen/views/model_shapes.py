@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from fourbar_codegen.body_shapes import BodyShape, check_names, data_of, named_shapes, shapes_of
-from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.kernel.kernel import Kernel, parameter_array
 from fourbar_codegen.layout import ShapeKind
-from fourbar_codegen.views.scene import scene, view_of
+from fourbar_codegen.views.scene import scene
 
 __all__ = ["ShapesLike", "all_shapes", "given_shapes", "set_shapes"]
 
@@ -33,16 +33,15 @@ def _names(model: Kernel) -> list[str]:
 
 def all_shapes(model: Kernel) -> dict[str, tuple[BodyShape, ...]]:
     """The shapes of a model: see `CompiledModel.shapes`."""
-    values = np.array([*model.defaults.values()], dtype=float)
+    values = parameter_array(model, None)
     if np.isnan(values).any():
         return given_shapes(model)
     x = np.array([model.layout.initial.get(name, 0.0) for name in model.states])[:, np.newaxis]
     r = np.zeros((model.n_r, 1))
     positions, _ = model.drawing_along([0.0], x, r, values)
     rotations = model.orientations_along([0.0], x, r, values)
-    view = view_of(model, positions[: len(model.points)], in_space=True)
     given = given_shapes(model)
-    return {**scene(model, positions, view, rotations=rotations, p=values, given=given).shapes}
+    return {**scene(model, positions, rotations=rotations, p=values, given=given, in_space=True).shapes}
 
 
 def set_shapes(model: Kernel, shapes: ShapesLike) -> None:

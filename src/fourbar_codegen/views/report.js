@@ -5,7 +5,14 @@ const times = new Float64Array(bytesOf(data.times).buffer), positions = floats(d
 if (data.scene.planar) byId("turn").remove();
 
 const picture = pictureOf(byId("mechanism"), data.scene);
-picture.set(positions, positions.length / 3 / times.length, null, floats(data.rotations));
+// The rotation matrix of a quaternion, column by column.
+const turnOf = ([x, y, z, w]) => [
+  1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w),
+  2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w),
+  2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)];
+const rotations = floats(data.rotations), turns = rotations.length / 4 / times.length;
+picture.set(positions, positions.length / 3 / times.length, null,
+  (i, k) => turnOf(rotations.subarray(4 * (i * turns + k), 4 * (i * turns + k + 1))));
 followBox(byId("follow"), picture);
 if (data.longest > 0) {
   make("p", {}, byId("mechanism").parentElement, `Arrows are forces of inputs; the longest is ${numberText(data.longest)} N.`);

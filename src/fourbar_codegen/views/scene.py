@@ -19,7 +19,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Point, Shape
-from fourbar_codegen.views.found_shapes import contacts, found_shapes, parts_of
+from fourbar_codegen.views.found_shapes import contacts, found_shapes, parts_of, random_states
 from fourbar_codegen.views.solids import Solid, solids_of
 
 __all__ = ["Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
@@ -89,14 +89,11 @@ class Line:
         Rows of the positions that it connects.
     is_closed : bool
         Whether it is the outline of an area.
-    name : str
-        Of a link.
     """
 
     kind: str
     rows: tuple[int, ...]
     is_closed: bool = False
-    name: str = ""
 
 
 @dataclass(frozen=True)
@@ -346,7 +343,8 @@ def scene(
             stacklevel=5,
         )
     named = positions[: len(model.points)]
-    on_ground = () if rotations is None or p is None else contacts(model, p)
+    states = None if rotations is None or p is None else random_states(model, p)
+    on_ground = () if states is None else contacts(model, states)
     if view is None:
         view = view_of(model, named, in_space=bool(in_space or on_ground or given))
         if rotations is not None and view.is_planar and _leave_plane(rotations, view.turn[2]):
@@ -367,7 +365,7 @@ def scene(
             same = (other for other in holders if _coincide(positions, point, other, TOUCHING * size))
             holders.setdefault(next(same, point), set()).add(number)
         if kind == "link":
-            lines += _outline(positions, points, size, shape.name)
+            lines += _outline(positions, points, size)
         elif kind == "slider":
             lines.append(Line("guide", (len(rows), len(rows) + 1)))
             symbols.append(Symbol("slider", points[0], len(rows) + 1, outline=SYMBOLS["slider"]))
@@ -391,30 +389,48 @@ def scene(
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry.body for entry in entries[: len(model.points)])
     found = Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
-    if view.is_planar or rotations is None or p is None:
+    if view.is_planar or rotations is None or p is None or states is None:
         return found
-    edges = [
-        (line.name, _distance(positions, a, b), entries[a].name, entries[b].name)
+    tips = tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1)
+    touching = tuple(contact.point for contact in on_ground)
+    found = replace(found, contacts=touching, tips=tips)
+    bodies_of = found_shapes(model, p, states, longest, on_ground, _edges(model, positions, size))
+    return _with_bodies(found, model, p, rotations, bodies_of, given or {})
+
+
+def _edges(model: Kernel, positions: Floats, size: float) -> list[tuple[str, float, str, str]]:
+    """The edges of links: the link's name, the length, and the names of the ends."""
+    entries = model.layout.drawing.points
+    return [
+        (shape.name, _distance(positions, a, b), entries[a].name, entries[b].name)
         for shape in model.layout.drawing.shapes
         if shape.kind == "link"
-        for line in _outline(positions, _with_center(positions, shape, entries), size, shape.name)
+        for line in _outline(positions, _with_center(positions, shape, entries), size)
         for a, b in pairwise((*line.rows, *line.rows[: line.is_closed and len(line.rows) > 2]))
     ]
-    given = given or {}
+
+
+def _with_bodies(
+    drawn: Scene,
+    model: Kernel,
+    p: Floats,
+    rotations: Floats,
+    found: Mapping[str, tuple[BodyShape, ...]],
+    given: Mapping[str, tuple[BodyShape, ...]],
+) -> Scene:
+    """A scene in space with bodies, whose shapes are those that were given, or else found."""
     shapes = {
         name: of_body
-        for name, of_body in found_shapes(model, p, longest, on_ground, edges).items()
+        for name, of_body in found.items()
         if given.keys().isdisjoint((name, *parts_of(name, model.layout.drawing.bodies)))
     }
     shapes |= given
-    fixed = np.repeat(np.eye(3)[np.newaxis, :, :, np.newaxis], positions.shape[2], axis=3)  # to the ground
+    fixed = np.repeat(np.eye(3)[np.newaxis, :, :, np.newaxis], rotations.shape[3], axis=3)  # to the ground
     return replace(
-        found,
+        drawn,
         shapes=shapes,
-        solids=tuple(solids_of(model, shapes, p, positions)),
-        rotations=np.einsum("ij,bjkt->bikt", view.turn, np.concatenate((rotations, fixed))),
-        contacts=tuple(contact.point for contact in on_ground),
-        tips=tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1),
+        solids=tuple(solids_of(model, shapes, p, drawn.positions)),
+        rotations=np.einsum("ij,bjkt->bikt", drawn.view.turn, np.concatenate((rotations, fixed))),
     )
 
 
@@ -481,11 +497,11 @@ def _with_center(positions: Floats, shape: Shape, entries: Sequence[Point]) -> t
     return (*shape.points, centers[0]) if far else shape.points
 
 
-def _outline(positions: Floats, points: tuple[int, ...], size: float, name: str) -> Iterator[Line]:
+def _outline(positions: Floats, points: tuple[int, ...], size: float) -> Iterator[Line]:
     """The lines of a link: a line through points on a line, else their convex hull."""
     finite = np.flatnonzero(np.isfinite(positions[list(points)]).all(axis=(0, 1)))
     if len(points) == 2 or not finite.size:
-        yield Line("link", points, name=name)
+        yield Line("link", points)
         return
     corners = positions[list(points), :, finite[0]]
     _, extents, axes = np.linalg.svd(corners - corners.mean(axis=0), full_matrices=False)
@@ -493,17 +509,17 @@ def _outline(positions: Floats, points: tuple[int, ...], size: float, name: str)
     along = (corners - corners.mean(axis=0)) @ axes[:dimensions].T
     if dimensions == 1:
         order = np.argsort(along[:, 0])
-        yield Line("link", tuple(points[k] for k in order), name=name)
+        yield Line("link", tuple(points[k] for k in order))
     elif len(points) == 3:
-        yield Line("link", points, is_closed=True, name=name)
+        yield Line("link", points, is_closed=True)
     else:
         hull = importlib.import_module("scipy.spatial").ConvexHull(along)
         if dimensions == 2:
-            yield Line("link", tuple(points[k] for k in hull.vertices), is_closed=True, name=name)
+            yield Line("link", tuple(points[k] for k in hull.vertices), is_closed=True)
         else:
             edges = {tuple(sorted(edge)) for facet in hull.simplices for edge in combinations(facet.tolist(), 2)}
             for a, b in sorted(edges):
-                yield Line("link", (points[a], points[b]), name=name)
+                yield Line("link", (points[a], points[b]))
 
 
 def extent(positions: Floats) -> tuple[float, Floats]:

@@ -137,13 +137,13 @@ def draw_solids(
         size = np.maximum(1, np.round(2.0 * half * scale)).astype(int)
         corners, rgb = triangles(instant)
         per_point = PIXELS / (72.0 * float(max(axes.figure.get_size_inches())))
+        pixels, tones = [corners * scale], [rgb]
         for stroke in strokes(instant):
-            quads = _quads(stroke.points * scale, 0.5 * stroke.width * per_point) / scale
-            corners = np.concatenate((corners, quads))
-            rgb = np.concatenate((rgb, np.repeat([colors.to_rgb(stroke.color)], len(quads), axis=0)))
-        corners = corners * scale
-        corners[:, :, :2] -= (middle - half) * scale
-        image.set_data(_filled(corners, rgb, size[0], size[1]))
+            pixels.append(_quads(stroke.points * scale, 0.5 * stroke.width * per_point))
+            tones.append(np.repeat([colors.to_rgb(stroke.color)], len(pixels[-1]), axis=0))
+        in_window = np.concatenate(pixels)
+        in_window[:, :, :2] -= (middle - half) * scale
+        image.set_data(_filled(in_window, np.concatenate(tones), size[0], size[1]))
         low, high = middle - half, middle + half
         image.set_extent((low[0], high[0], low[1], high[1]))
 

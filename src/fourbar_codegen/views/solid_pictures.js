@@ -15,13 +15,12 @@ const SHADERS = {
     }`, `
     precision mediump float;
     uniform vec3 color;
-    uniform float alpha;
     varying vec3 outwards;
     void main() {
       vec3 n = normalize(gl_FrontFacing ? outwards : -outwards);
       float light = 0.42 + 0.5 * max(dot(n, vec3(0.30, 0.60, 0.74)), 0.0) + 0.13 * n.y;
       float shine = pow(max(dot(n, vec3(0.16, 0.33, 0.93)), 0.0), 40.0);
-      gl_FragColor = vec4(color * light + 0.18 * shine, 1.0) * alpha;
+      gl_FragColor = vec4(color * light + 0.18 * shine, 1.0);
     }`],
   line: [`
     attribute vec3 from, to;
@@ -78,10 +77,10 @@ const programOf = (gl, [vertex, fragment]) => {
   return places;
 };
 
-const bufferOf = (gl, target, values, usage = gl.STATIC_DRAW) => {
+const bufferOf = (gl, target, values) => {
   const buffer = gl.createBuffer();
   gl.bindBuffer(target, buffer);
-  gl.bufferData(target, values, usage);
+  gl.bufferData(target, values, gl.STATIC_DRAW);
   return buffer;
 };
 
@@ -94,10 +93,6 @@ const unitOf = a => {
 };
 const times3 = (m, a) => [0, 1, 2].map(i => m[i] * a[0] + m[i + 3] * a[1] + m[i + 6] * a[2]);
 const product3 = (m, n) => [0, 3, 6].flatMap(j => times3(m, n.slice(j, j + 3)));
-const turnOf = ([x, y, z, w]) => [
-  1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w),
-  2 * (x * y - z * w), 1 - 2 * (x * x + z * z), 2 * (y * z + x * w),
-  2 * (x * z + y * w), 2 * (y * z - x * w), 1 - 2 * (x * x + y * y)];
 const transposed = m => [m[0], m[3], m[6], m[1], m[4], m[7], m[2], m[5], m[8]];
 const isKnown = a => Number.isFinite(a[0] + a[1] + a[2]);
 // An axis far from a direction.
@@ -201,7 +196,6 @@ const rendererOf = (gl, scene) => {
       gl.uniformMatrix3fv(meshProgram.turn, false, matrix);
       gl.uniform3fv(meshProgram.place, place);
       gl.uniform3fv(meshProgram.color, color);
-      gl.uniform1f(meshProgram.alpha, 1);
       gl.drawElements(gl.TRIANGLES, count, gl.UNSIGNED_SHORT, 0);
       for (const at of [meshProgram.position, meshProgram.normal]) gl.disableVertexAttribArray(at);
     },
@@ -279,8 +273,8 @@ const coiled = (a, b, {kind, outline}, unit) => {
   return [...points, b];
 };
 
-// The picture in an element <canvas>, with the methods of `mechanismPicture`; `set` also takes quaternions of the
-// bodies, n times as many as the scene's solids turn with. Null where the browser has no WebGL.
+// The picture in an element <canvas>, with the methods of `mechanismPicture`; `set` also takes a function from the number
+// of a time and that of a rotation of the scene's to its matrix. Null where the browser has no WebGL.
 const solidPicture = (canvas, scene) => {
   const gl = canvas.getContext("webgl", {antialias: !isBySoftware(), alpha: false});
   if (!gl) return null;
@@ -291,8 +285,8 @@ const solidPicture = (canvas, scene) => {
     corners: renderer.corners(entry.mesh)}));
   const drawn = [...new Set([...scene.shown, ...solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
-  let look = HOME, zoom = 1, pan = [0, 0], positions = new Float32Array(0), rotations = new Float32Array(0), n = 0, m = 0;
-  let bodies = 0, sizes = {}, before = null, moving = [], moves = new Set(), follows = false, shown = 0, grid = null;
+  let look = HOME, zoom = 1, pan = [0, 0], positions = new Float32Array(0), turnAt = () => [], n = 0, m = 0;
+  let sizes = {}, before = null, moving = [], moves = new Set(), follows = false, shown = 0, grid = null;
   // Places at some instants, and of what moves at each of some; bounds of all; the size of what moves at one instant,
   // and of all; sizes on the screen, and what is in the middle of it.
   let every = [], atOnce = [], bounds = [[], []], radius = 1, whole = 1, span = [1, 1], middleSeen = [0, 0, 0];
@@ -323,8 +317,7 @@ const solidPicture = (canvas, scene) => {
       matrix = [...x, ...crossed(z, x), ...z.map(entry => longer * entry)];
       place = place.map((entry, j) => (entry + end[j]) / 2);
     } else if (turn !== null) {
-      const start = 4 * (i * bodies + turn), own = turnOf(rotations.subarray(start, start + 4));
-      const moved = times3(own, offset);
+      const own = turnAt(i, turn), moved = times3(own, offset);
       matrix = product3(own, rotation);
       place = place.map((entry, j) => entry + moved[j]);
     }
@@ -349,7 +342,8 @@ const solidPicture = (canvas, scene) => {
     grid = null;
     const heights = scene.ground.map(k => at(0, k)[2]).filter(Number.isFinite);
     if (!heights.length) return;
-    const z = Math.min(...heights), room = 0.6 * radius, step = ticksBetween(0, 2 * radius, 8)[1] ?? 1;
+    // Fine enough to see the motion, but with not too many lines under a long run.
+    const z = Math.min(...heights), room = 0.6 * radius, step = ticksBetween(0, Math.max(2 * radius, whole / 10), 8)[1] ?? 1;
     const [x0, y0] = least.map(value => Math.floor((value - room) / step) * step);
     const [x1, y1] = most.map(value => Math.ceil((value + room) / step) * step);
     const points = [], gap = [NaN, NaN, NaN];
@@ -405,14 +399,13 @@ const solidPicture = (canvas, scene) => {
   const soon = () => { frame ??= requestAnimationFrame(render); };
 
   const picture = {
-    // The positions of a run and of the run before, quaternions of the bodies, and parameters that are sizes.
-    set(given, rows, ghost = null, turns = rotations, values = {}) {
+    // The positions of a run and of the run before, the rotations of the bodies, and parameters that are sizes.
+    set(given, rows, ghost = null, turns = turnAt, values = {}) {
       positions = given;
-      rotations = turns;
+      turnAt = turns;
       sizes = values;
       m = rows;
       n = m ? given.length / 3 / m : 0;
-      bodies = n ? rotations.length / 4 / n : 0;
       before = ghost;
       moving = drawn.filter(k => {
         const first = at(0, k);

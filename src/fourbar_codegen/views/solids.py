@@ -33,12 +33,6 @@ MOST_VERTICES = 65_536
 ROUND = "#7a8490"
 """Of wheels."""
 
-COLORS = {
-    "black": "#222222", "white": "#f4f4f4", "grey": "#8a8f96", "red": "#c8423b", "green": "#4b9a5a", "blue": "#4474b8",
-    "orange": "#e0913a", "yellow": "#e3c13d", "purple": "#8b6bb1", "brown": "#8a6248", "cyan": "#3d9aa8",
-    "pink": "#d77ba8",
-}  # fmt: skip
-
 
 @dataclass(frozen=True, eq=False)
 class Solid:
@@ -55,7 +49,7 @@ class Solid:
     row : int
         The row of positions where it is, in the scene.
     turn : int or None
-        The number of the rotation that it has; None without one.
+        The number of the rotation that it has; None for a rod.
     offset : ndarray, shape (3,)
         From the row to its centre, along the body's axes.
     rotation : ndarray, shape (3, 3)
@@ -99,8 +93,7 @@ class Solid:
                 x = np.where(np.abs(z[0]) < 0.9, np.cross([1.0, 0.0, 0.0], z.T).T, np.cross([0.0, 1.0, 0.0], z.T).T)
                 x /= np.linalg.norm(x, axis=0)
             return at + way / 2.0, np.stack((x, np.cross(z, x, axis=0), z), axis=1)
-        if self.turn is None:
-            return at, np.repeat(self.rotation[:, :, np.newaxis], at.shape[1], axis=2)
+        assert self.turn is not None
         turn = rotations[self.turn]
         return at + np.einsum("ijt,j->it", turn, self.offset), np.einsum("ijt,jk->ikt", turn, self.rotation)
 
@@ -144,7 +137,9 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
     for number, (name, of_body) in enumerate(found.items()):
         for shape in of_body:
             is_round = isinstance(shape, shapes.Wheel | shapes.Torus | shapes.Disc)
-            color = COLORS.get(shape.color, shape.color) or (ROUND if is_round else PALETTE[number % len(PALETTE)])
+            color = shapes.COLORS.get(shape.color, shape.color) or (
+                ROUND if is_round else PALETTE[number % len(PALETTE)]
+            )
             if isinstance(shape, Line):
                 ends = [rows[point] for point in shape.points]
                 for row, to in itertools.pairwise(ends):
@@ -154,9 +149,8 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                     mesh = meshes.capsule(size(shape.radius), length)
                     yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to, length)
                 continue
-            turn = drawing.bodies.index(name) if name in drawing.bodies else None
-            if turn is None:  # of a particle, or of the ground: the last rotation of a scene
-                turn = len(drawing.bodies)
+            # The last rotation of a scene is that of a particle and of the ground.
+            turn = drawing.bodies.index(name) if name in drawing.bodies else len(drawing.bodies)
             if isinstance(shape.at, str):
                 row, offset = rows[shape.at], np.zeros(3)
             elif name in centers:
@@ -168,7 +162,7 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
             if isinstance(shape, CoordinateFrame):
                 for column, tone in enumerate(("red", "green", "blue")):
                     along = np.roll(axes, 2 - column, axis=1)  # the z axis of an arrow is that axis of the frame
-                    yield Solid(name, meshes.arrow(*sizes), COLORS[tone], row, turn, offset, along)
+                    yield Solid(name, meshes.arrow(*sizes), shapes.COLORS[tone], row, turn, offset, along)
                 continue
             made = _of_file(shape.path, *sizes) if isinstance(shape, FileMesh) else MADE_BY[type(shape)](*sizes)
             parameter = first if isinstance(first, str) and isinstance(shape, FOLLOWING) else ""
@@ -179,7 +173,7 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                 row,
                 turn,
                 offset,
-                _axes(shape),
+                axes,
                 parameter=parameter,
                 value=values.get(parameter, 0.0),
             )

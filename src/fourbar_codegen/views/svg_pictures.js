@@ -237,7 +237,7 @@ const timePlot = (section, {title, log, names}, seek) => {
   const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 24, TALL = 170;
   const svg = make("svg", {role: "img", "aria-label": title, height: TALL}, section);
   // Many names are folded, so that plots stay close together.
-  const fold = names.length > COLORS ? make("details", {class: "legend"}, section) : section;
+  const fold = names.length > COLORS ? make("details", {}, section) : section;
   if (fold !== section) make("summary", {}, fold, `${names.length} curves`);
   const legend = make("div", {class: "controls"}, fold);
   const outputs = names.map((name, c) => {
@@ -402,11 +402,11 @@ const traceBoxes = (parent, points, picture, changed = () => {}) => {
   const fold = parent.closest("details");
   if (fold?.classList.contains("few")) fold.open = points.length <= FEW_POINTS;
   return points.map(({name, traced}, k) => {
-  const label = make("label", {}, parent), box = make("input", {type: "checkbox"}, label);
-  label.append(` ${name}`);
-  box.checked = traced;
-  picture.trace(k, traced);
-  box.addEventListener("change", () => { picture.trace(k, box.checked); changed(); });
-  return box;
+    const label = make("label", {}, parent), box = make("input", {type: "checkbox"}, label);
+    label.append(` ${name}`);
+    box.checked = traced;
+    picture.trace(k, traced);
+    box.addEventListener("change", () => { picture.trace(k, box.checked); changed(); });
+    return box;
   });
 };

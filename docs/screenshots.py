@@ -78,7 +78,14 @@ def look(page: Page, path: Path, picture: Path | None, *, axe: bool) -> list[str
 def main() -> None:
     """Look at all pages, and say what is wrong with them."""
     RESULTS.mkdir(parents=True, exist_ok=True)
-    places = {"report": fb.load("four_bar").simulate((0.0, 4.0), rtol=1e-9, atol=1e-9).save(RESULTS / "report.html")}
+    bicycle = fb.compile_model(fb.models.whipple_bicycle())
+    places = {
+        "report": fb.load("four_bar").simulate((0.0, 4.0), rtol=1e-9, atol=1e-9).save(RESULTS / "report.html"),
+        "report_in_space": bicycle.simulate((0.0, 2.0)).save(RESULTS / "report_in_space.html"),
+        "page_in_space": RESULTS / "page_in_space.html",
+    }
+    bicycle.page(places["page_in_space"], t_span=(0.0, 2.0))
+    own = frozenset(places)
     for path in sorted(BUILT.rglob("*.html")):
         name = str(path.relative_to(BUILT).with_suffix(""))
         if not name.startswith("_") and name not in {"genindex", "py-modindex", "search"}:
@@ -89,7 +96,7 @@ def main() -> None:
         for scheme, (width, height) in itertools.product(("light", "dark"), SIZES):
             for name, path in places.items():
                 page = browser.new_page(viewport={"width": width, "height": height}, color_scheme=scheme)
-                shown = name == "report" or name in SHOWN
+                shown = name in own or name in SHOWN
                 picture = RESULTS / f"{name.replace('/', '_')}_{width}_{scheme}.png" if shown else None
                 # Each scheme and each width once: colours do not depend on the width.
                 axe = (scheme, width) in {("light", 1440), ("dark", 390)}

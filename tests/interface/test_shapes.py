@@ -7,6 +7,7 @@ import pickle
 import struct
 
 import numpy as np
+import PIL.Image
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
@@ -16,10 +17,12 @@ from sympy.physics.mechanics.system import System
 
 import fourbar_codegen as fb
 from fourbar_codegen.body_shapes import KINDS, BodyShape
+from fourbar_codegen.kernel.kernel import parameter_array
 from fourbar_codegen.views import meshes, shaded
 from fourbar_codegen.views.found_shapes import parts_of
 from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.html_page import quaternions
+from fourbar_codegen.views.solids import solids_of
 
 M, G, L = sm.symbols("m g l")
 
@@ -494,6 +497,61 @@ def test_animations_and_frames_in_space_are_drawn(bicycle, tmp_path):
     for times in ([0.3], [], [[0.0]]):
         with pytest.raises(fb.ModelError, match="times are"):
             run.plot_frames(times)
+
+
+SIZED = [
+    fb.Sphere("rf"),
+    fb.Ellipsoid("rf", 0.3, 0.2),
+    fb.Box("rf", "rr", 0.1, at=(0.0, "rr", "rf")),
+    fb.Cylinder(0.1, "rf"),
+    fb.Capsule("rf", "rr"),
+    fb.Cone("rr", "rf"),
+    fb.Disc("rf", "rr"),
+    fb.Wheel("rf"),
+    fb.Torus("rf", 0.05),
+    fb.Torus(0.5, "rr"),
+    fb.Plane("rf"),
+    fb.Arrow("rf"),
+    fb.CoordinateFrame("rf"),
+]
+
+
+@pytest.mark.parametrize("shape", SIZED, ids=repr)
+def test_changes_by_parameters_are_those_between_two_sizes(bicycle, shape):
+    """Vertices and places are linear in sizes: to rounding errors of the difference quotient, 1e-16 / 1e-3."""
+    before, after = parameter_array(bicycle, None), parameter_array(bicycle, None)
+    after[bicycle.parameters.index("rf")] = 0.7
+    after[bicycle.parameters.index("rr")] = 0.25
+    other = dict(zip(bicycle.parameters, after, strict=True))
+    first, second = ([*solids_of(bicycle, {"rear wheel": [shape]}, p, np.zeros((0, 3, 1)))] for p in (before, after))
+    for now, then in zip(first, second, strict=True):
+        more = [(change, other[change.parameter] - change.value) for change in now.changes]
+        vertices = now.mesh.vertices + sum(step * change.vertices for change, step in more)
+        np.testing.assert_allclose(vertices, then.mesh.vertices, rtol=0, atol=1e-12)
+        offset = now.offset + sum(step * change.offset for change, step in more)
+        np.testing.assert_allclose(offset, then.offset, rtol=0, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_shapes_of_a_live_page_follow_parameters(browser, tmp_path):
+    """After a slider has moved, the picture is that of a page that begins with its value."""
+    shapes = {"disc": [fb.Torus("r", 0.1), fb.Box("r", 0.4, "r", at=("r", 0.0, 0.0), color="red")]}
+    model = fb.compile_model(fb.models.rolling_disc())
+    model.shapes = shapes
+    images = []
+    for begin, end in ((0.3, 0.3), (0.3, 0.45), (0.45, 0.45)):
+        path = tmp_path / "page.html"
+        model.page(path, t_span=(0.0, 1.0), parameters={"r": begin}, ranges={"r": (0.1, 1.0)})
+        page = browser.new_page()
+        page.goto(path.as_uri())
+        page.evaluate("async value => { settings.parameters.r = value; await update(); released(); }", end)
+        page.wait_for_timeout(300)
+        png = page.locator("canvas#mechanism").screenshot()
+        images.append(np.asarray(PIL.Image.open(io.BytesIO(png)).convert("RGB"), dtype=float))
+        page.close()
+    before, moved, expected = images
+    assert np.abs(before - expected).max(axis=2).mean() > 5.0
+    assert np.abs(moved - expected).max(axis=2).mean() < 0.05  # some pixels at edges: the same run, but for 1e-11
 
 
 @pytest.mark.slow

@@ -220,7 +220,7 @@ def _text(
     forces = model.layout.drawing.forced_points
     n_rows = len(found.positions) + len(forces)
     arrows = {point: len(found.positions) + number for number, point in enumerate(forces)}
-    pictured = scene_data(found, arrows, 1.0)
+    pictured = scene_data(found, arrows, 1.0, is_live=True)
     if traces is not None:
         chosen = known_points(model, traces)
         for point in pictured["points"]:

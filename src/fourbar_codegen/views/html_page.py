@@ -39,7 +39,7 @@ def packed(values: Any, dtype: str = "<f4") -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype=dtype).tobytes()).decode("ascii")
 
 
-def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float) -> dict[str, Any]:
+def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float, *, is_live: bool = False) -> dict[str, Any]:
     """What `mechanismPicture` of svg_pictures.js and `solidPicture` of solid_pictures.js take.
 
     Parameters
@@ -48,6 +48,8 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float) -> dict[st
     arrows : mapping of int to int
     scale : float
         Of lengths, so that they are in the unit of the positions that the scripts have.
+    is_live : bool, optional
+        Whether parameters that are sizes change.
     """
     traced = scene.traced()
     return {
@@ -61,20 +63,22 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float) -> dict[st
         "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in scene.lines],
         "symbols": [asdict(symbol) for symbol in scene.symbols],
         "shown": scene.shown,
-        **_solids(scene.solids, scale),
+        **_solids(scene.solids, scale, is_live),
         "ground": [*scene.contacts],
     }
 
 
-def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
+def _solids(solids: Sequence[Solid], scale: float, is_live: bool) -> dict[str, Any]:
     """Meshes, each once, and the solids that have them."""
-    meshes: dict[tuple[str, str, str], int] = {}
+    meshes: dict[tuple[Any, ...], int] = {}
     entries = []
     for solid in solids:
+        changes = solid.changes if is_live else ()
         mesh = (
             packed(solid.mesh.vertices * scale),
             packed(np.round(solid.mesh.normals * 127.0), "<i1"),
             packed(solid.mesh.faces, "<u2"),
+            tuple((change.parameter, change.value, packed(change.vertices * scale)) for change in changes),
         )
         entries.append(
             {
@@ -87,11 +91,10 @@ def _solids(solids: Sequence[Solid], scale: float) -> dict[str, Any]:
                 "rotation": solid.rotation.ravel().tolist(),
                 "to": solid.to,
                 "length": solid.length * scale,
-                "parameter": solid.parameter,
-                "value": solid.value,
+                "changes": [(c.parameter, c.value, (c.offset * scale).tolist()) for c in changes],
             }
         )
-    parts = ("vertices", "normals", "faces")
+    parts = ("vertices", "normals", "faces", "changes")
     return {"meshes": [dict(zip(parts, mesh, strict=True)) for mesh in meshes], "solids": entries}
 
 

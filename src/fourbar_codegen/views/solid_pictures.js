@@ -47,12 +47,17 @@ const SHADERS = {
 const colorOf = text => (text[0] === "#" ? [1, 3, 5].map(k => Number.parseInt(text.slice(k, k + 2), 16)) :
   text.match(/[\d.]+/g).slice(0, 3).map(Number)).map(value => value / 255);
 
-// Whether there is no graphics card: then smooth edges take half of the time.
-const isBySoftware = () => {
-  const gl = document.createElement("canvas").getContext("webgl"), names = gl?.getExtension("WEBGL_debug_renderer_info");
+// The context of a new canvas, or null where the browser has no WebGL. Without a graphics card, smooth edges would take
+// half of the time.
+const contextOf = (antialias = false) => {
+  const canvas = document.createElement("canvas"), how = {antialias, alpha: false};
+  const gl = canvas.getContext("webgl2", how) ?? canvas.getContext("webgl", how);
+  if (!gl || antialias) return gl;
+  const names = gl.getExtension("WEBGL_debug_renderer_info");
   const name = String(names ? gl.getParameter(names.UNMASKED_RENDERER_WEBGL) : "");
-  gl?.getExtension("WEBGL_lose_context")?.loseContext();
-  return /SwiftShader|llvmpipe|Basic Render/.test(name);
+  if (/SwiftShader|llvmpipe|Basic Render/.test(name)) return gl;
+  gl.getExtension("WEBGL_lose_context")?.loseContext();
+  return contextOf(true);
 };
 
 const programOf = (gl, [vertex, fragment]) => {
@@ -111,6 +116,16 @@ const segmentsOf = points => {
   return [new Float32Array(values), new Uint16Array(indices)];
 };
 
+// Values that depend linearly on parameters, for some of these: of each change, its parameter's name and value, and slopes.
+const resized = (values, changes, parameters) => {
+  const found = values.slice();
+  for (const [name, value, slopes] of changes) {
+    const more = (parameters[name] ?? value) - value;
+    if (more) for (let i = 0; i < found.length; ++i) found[i] += more * slopes[i];
+  }
+  return found;
+};
+
 // The corners of the box about points.
 const cornersOf = points => {
   const low = [Infinity, Infinity, Infinity], high = [-Infinity, -Infinity, -Infinity];
@@ -126,12 +141,14 @@ const cornersOf = points => {
 // and the depth of what is shown.
 const rendererOf = (gl, scene) => {
   const meshProgram = programOf(gl, SHADERS.solid), lineProgram = programOf(gl, SHADERS.line);
-  const meshes = scene.meshes.map(mesh => {
-    const [vertices, normals, faces] = [mesh.vertices, mesh.normals, mesh.faces].map(bytesOf);
-    return {corners: cornersOf(new Float32Array(vertices.buffer)), vertices: bufferOf(gl, gl.ARRAY_BUFFER, vertices),
-      normals: bufferOf(gl, gl.ARRAY_BUFFER, normals), faces: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, faces),
-      count: faces.length / 2};
-  });
+  const meshOf = ({vertices, normals, faces, changes}) => {
+    const points = new Float32Array(bytesOf(vertices).buffer), numbers = bytesOf(faces);
+    return {points, corners: cornersOf(points), vertices: bufferOf(gl, gl.ARRAY_BUFFER, points),
+      normals: bufferOf(gl, gl.ARRAY_BUFFER, bytesOf(normals)), faces: bufferOf(gl, gl.ELEMENT_ARRAY_BUFFER, numbers),
+      count: numbers.length / 2,
+      changes: changes.map(([name, value, slopes]) => [name, value, new Float32Array(bytesOf(slopes).buffer)])};
+  };
+  const meshes = [meshOf(scene.meshes[0])];
   let ratio = 1;
   const attribute = (place, buffer, size, kind, stride = 0, start = 0) => {
     gl.bindBuffer(gl.ARRAY_BUFFER, buffer);
@@ -140,6 +157,18 @@ const rendererOf = (gl, scene) => {
   };
   const renderer = {
     corners: number => meshes[number].corners,
+    // Sizes of meshes follow parameters.
+    resize(values) {
+      for (const mesh of meshes) {
+        const moved = mesh.changes.filter(([name, value]) => (values[name] ?? value) !== (mesh.sizes?.[name] ?? value));
+        if (!moved.length) continue;
+        mesh.sizes = {...values};
+        const points = resized(mesh.points, mesh.changes, values);
+        mesh.corners = cornersOf(points);
+        gl.bindBuffer(gl.ARRAY_BUFFER, mesh.vertices);
+        gl.bufferData(gl.ARRAY_BUFFER, points, gl.STATIC_DRAW);
+      }
+    },
     see({canvas, page, matrix, middle, pixels, depth}) {
       ratio = devicePixelRatio || 1;
       const [width, height] = [canvas.clientWidth, canvas.clientHeight].map(size => Math.max(1, Math.round(size * ratio)));
@@ -147,9 +176,6 @@ const rendererOf = (gl, scene) => {
       gl.viewport(0, 0, width, height);
       gl.clearColor(...page, 1);
       gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
-      gl.enable(gl.DEPTH_TEST);
-      gl.enable(gl.BLEND);
-      gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
       for (const program of [meshProgram, lineProgram]) {
         gl.useProgram(program.program);
         gl.uniformMatrix3fv(program.view, false, matrix);
@@ -200,6 +226,15 @@ const rendererOf = (gl, scene) => {
       for (const at of [meshProgram.position, meshProgram.normal]) gl.disableVertexAttribArray(at);
     },
   };
+  gl.enable(gl.DEPTH_TEST);
+  gl.enable(gl.BLEND);
+  gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  // Shaders are compiled when something is first drawn with them: now, beside what follows, something that is not seen.
+  renderer.drawPoints([[0, 0, 0], [0, 0, 0]], [0, 0, 0], 0);
+  renderer.drawMesh(0, [0, 0, 0], [0, 0, 0, 0, 0, 0, 0, 0, 0], [0, 0, 0]);
+  gl.fenceSync?.(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+  gl.flush();
+  meshes.push(...scene.meshes.slice(1).map(meshOf));
   return renderer;
 };
 
@@ -273,22 +308,19 @@ const coiled = (a, b, {kind, outline}, unit) => {
   return [...points, b];
 };
 
-// The picture in an element <canvas>, with the methods of `mechanismPicture`; `set` also takes a function from the number
-// of a time and that of a rotation of the scene's to its matrix. Null where the browser has no WebGL.
-const solidPicture = (canvas, scene) => {
-  const gl = canvas.getContext("webgl", {antialias: !isBySoftware(), alpha: false});
-  if (!gl) return null;
+// The picture in the canvas of a context, with the methods of `mechanismPicture`; `set` also takes a function from the
+// number of a time and that of a rotation of the scene's to its matrix.
+const solidPicture = (gl, scene) => {
   const FAR = 4, STILL = 1e-9, MARGIN = 0.86, HOME = [-0.6, -1.15];
   const VIEWS = {front: [0, -Math.PI / 2], side: [-Math.PI / 2, -Math.PI / 2], top: [0, 0], home: HOME};
-  const renderer = rendererOf(gl, scene), traces = new Map(), colors = {};
-  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color),
-    corners: renderer.corners(entry.mesh)}));
+  const {canvas} = gl, renderer = rendererOf(gl, scene), traces = new Map(), colors = {};
+  const solids = scene.solids.map(entry => ({...entry, rotation: transposed(entry.rotation), tone: colorOf(entry.color)}));
   const drawn = [...new Set([...scene.shown, ...solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
   let look = HOME, zoom = 1, pan = [0, 0], positions = new Float32Array(0), turnAt = () => [], n = 0, m = 0;
   let sizes = {}, before = null, moving = [], moves = new Set(), follows = false, shown = 0, grid = null;
-  // Places at some instants, and of what moves at each of some; bounds of all; the size of what moves at one instant,
-  // and of all; sizes on the screen, and what is in the middle of it.
+  // Places at some instants, and of what moves at each of these; bounds of all; the size of what moves at one instant, and
+  // of all; sizes on the screen, and what is in the middle of it.
   let every = [], atOnce = [], bounds = [[], []], radius = 1, whole = 1, span = [1, 1], middleSeen = [0, 0, 0];
 
   const readColors = () => {
@@ -309,7 +341,7 @@ const solidPicture = (canvas, scene) => {
     return transposed([c, -s, 0, s * ct, c * ct, -st, s * st, c * st, ct]);
   };
   // Where a solid is, and the matrix that turns and scales it; null where that is not known.
-  const placedAt = (i, {row, turn, offset, rotation, to, length, parameter, value}) => {
+  const placedAt = (i, {row, turn, offset, rotation, to, length, changes}) => {
     let place = at(i, row), matrix = rotation;
     if (to !== null) {
       const end = at(i, to), way = minus(end, place), z = unitOf(way), x = unitOf(crossed(farthest(z), z));
@@ -317,19 +349,17 @@ const solidPicture = (canvas, scene) => {
       matrix = [...x, ...crossed(z, x), ...z.map(entry => longer * entry)];
       place = place.map((entry, j) => (entry + end[j]) / 2);
     } else if (turn !== null) {
-      const own = turnAt(i, turn), moved = times3(own, offset);
+      const own = turnAt(i, turn), moved = times3(own, resized(offset, changes, sizes));
       matrix = product3(own, rotation);
       place = place.map((entry, j) => entry + moved[j]);
     }
-    if (parameter in sizes) matrix = matrix.map(entry => entry * sizes[parameter] / value);
     return isKnown(place) && matrix.every(Number.isFinite) ? [place, matrix] : null;
   };
-  // Rows, and the corners of moving or all solids, at some instants.
-  const placesOf = (instants, rows, all) => instants.flatMap(i => [...rows.map(k => at(i, k)),
-    ...solids.flatMap(solid => {
-      const found = all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to) ? placedAt(i, solid) : null;
-      return found ? solid.corners.map(corner => times3(found[1], corner).map((value, j) => found[0][j] + value)) : [];
-    })]);
+  // All points that are drawn, or those that move, and the corners of the solids there, at an instant.
+  const placesOf = (i, all) => [...(all ? drawn : moving).map(k => at(i, k)), ...solids.flatMap(solid => {
+    const found = all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to) ? placedAt(i, solid) : null;
+    return found ? renderer.corners(solid.mesh).map(corner => times3(found[1], corner).map((value, j) => found[0][j] + value)) : [];
+  })];
   const some = most => {
     const count = Math.min(n, most), last = Math.max(1, count - 1);
     return Array.from({length: count}, (_, k) => Math.round(k * (n - 1) / last));
@@ -371,7 +401,7 @@ const solidPicture = (canvas, scene) => {
   let frame = null;
   const render = () => {
     frame = null;
-    const matrix = matrixOf(look), own = follows ? boundsOf(placesOf([shown], moving, false)) : null;
+    const matrix = matrixOf(look), own = follows ? boundsOf(placesOf(shown, false)) : null;
     // What is in the middle: the mechanism that is followed, or what is in the middle of the first view.
     const about = own && Number.isFinite(own[0][0]) ? [0, 1, 2].map(j => (own[0][j] + own[1][j]) / 2) :
       times3(transposed(matrixOf(HOME)), middleSeen);
@@ -404,6 +434,7 @@ const solidPicture = (canvas, scene) => {
       positions = given;
       turnAt = turns;
       sizes = values;
+      renderer.resize(sizes);
       m = rows;
       n = m ? given.length / 3 / m : 0;
       before = ghost;
@@ -413,8 +444,8 @@ const solidPicture = (canvas, scene) => {
         return false;
       });
       moves = new Set(moving);
-      every = placesOf(some(30), drawn, true);
-      atOnce = some(10).map(i => placesOf([i], moving, false));
+      atOnce = some(12).map(i => placesOf(i, false));
+      every = [...n ? placesOf(0, true) : [], ...some(60).flatMap(i => moving.map(k => at(i, k))), ...atOnce.flat()];
       bounds = boundsOf(every);
       whole = diagonalOf(bounds) || 1;
       radius = Math.max(...atOnce.map(places => diagonalOf(boundsOf(places))).filter(Number.isFinite), 0) || whole;
@@ -429,7 +460,7 @@ const solidPicture = (canvas, scene) => {
       makeGrid(bounds);
     },
     travels() {
-      return moving.length > 1 && diagonalOf(boundsOf(placesOf(some(30), moving, false))) > FAR * radius;
+      return moving.length > 1 && diagonalOf(boundsOf(atOnce.flat())) > FAR * radius;
     },
     follow(on) {
       follows = on;
@@ -488,10 +519,10 @@ const solidPicture = (canvas, scene) => {
 // The picture in an element <svg>, or in a canvas in its place if there are bodies in space.
 const pictureOf = (svg, scene) => {
   if (!scene.solids.length) return mechanismPicture(svg, scene);
-  const canvas = document.createElement("canvas");
+  const gl = contextOf();
+  if (!gl) return mechanismPicture(svg, scene);
+  const {canvas} = gl, picture = solidPicture(gl, scene);
   for (const name of ["id", "role", "aria-label"]) canvas.setAttribute(name, svg.getAttribute(name));
-  const picture = solidPicture(canvas, scene);
-  if (!picture) return mechanismPicture(svg, scene);
   const views = make("div", {class: "controls", role: "group", "aria-label": "Views"}, svg.parentElement);
   for (const name of ["home", "front", "side", "top"]) {
     make("button", {type: "button"}, views, name[0].toUpperCase() + name.slice(1))

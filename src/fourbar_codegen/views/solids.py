@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +21,7 @@ from fourbar_codegen.layout import ShapeKind
 from fourbar_codegen.views import meshes
 from fourbar_codegen.views.meshes import Mesh
 
-__all__ = ["Solid", "solids_of"]
+__all__ = ["Change", "Solid", "solids_of"]
 
 Floats = NDArray[np.float64]
 
@@ -32,6 +33,26 @@ MOST_VERTICES = 65_536
 
 ROUND = "#7a8490"
 """Of wheels."""
+
+
+@dataclass(frozen=True, eq=False)
+class Change:
+    """How a solid changes with a parameter, on which its vertices and its place depend linearly.
+
+    Attributes
+    ----------
+    parameter : str
+    value : float
+        That with which the solid was made.
+    vertices : ndarray, shape (n, 3)
+    offset : ndarray, shape (3,)
+        Derivatives by the parameter.
+    """
+
+    parameter: str
+    value: float
+    vertices: Floats
+    offset: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,10 +79,8 @@ class Solid:
         The row of the other end of a rod, whose z axis goes from `row` to it, and whose centre is halfway.
     length : float
         Of a rod.
-    parameter : str
-        The name of the parameter that its size is, if there is one.
-    value : float
-        Of this parameter.
+    changes : tuple of Change
+        Those by parameters that are sizes, for pages in which these change.
     """
 
     name: str
@@ -73,8 +92,7 @@ class Solid:
     rotation: Floats
     to: int | None = None
     length: float = 0.0
-    parameter: str = ""
-    value: float = 0.0
+    changes: tuple[Change, ...] = ()
 
     @property
     def corners(self) -> Floats:
@@ -125,15 +143,6 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
     centers.setdefault(ground, 0)  # the fixed point comes first
 
     check_names(found, values, rows)
-
-    def length_of(value: float | str) -> float:
-        return values[value] if isinstance(value, str) else value
-
-    def size(value: float | str) -> float:
-        if not length_of(value) > 0.0:
-            raise ModelError(f"The size {value} of a shape is {length_of(value):g}: it must be positive.")
-        return length_of(value)
-
     for number, (name, of_body) in enumerate(found.items()):
         for shape in of_body:
             is_round = isinstance(shape, shapes.Wheel | shapes.Torus | shapes.Disc)
@@ -141,46 +150,57 @@ def solids_of(model: Kernel, found: Mapping[str, Sequence[BodyShape]], p: Floats
                 ROUND if is_round else PALETTE[number % len(PALETTE)]
             )
             if isinstance(shape, Line):
-                ends = [rows[point] for point in shape.points]
-                for row, to in itertools.pairwise(ends):
+                for row, to in itertools.pairwise(rows[point] for point in shape.points):
                     lengths = np.linalg.norm(positions[to] - positions[row], axis=0)
                     known = lengths[np.isfinite(lengths)]
                     length = float(known.mean()) if known.size else 0.0
-                    mesh = meshes.capsule(size(shape.radius), length)
-                    yield Solid(name, mesh, color, row, None, np.zeros(3), np.eye(3), to, length)
+                    rod = partial(meshes.capsule, length=length)
+                    mesh, offset, changes = _placed(shape, rod, values)
+                    yield Solid(name, mesh, color, row, None, offset, np.eye(3), to, length, changes)
                 continue
             # The last rotation of a scene is that of a particle and of the ground.
             turn = drawing.bodies.index(name) if name in drawing.bodies else len(drawing.bodies)
-            if isinstance(shape.at, str):
-                row, offset = rows[shape.at], np.zeros(3)
-            elif name in centers:
-                row, offset = centers[name], np.array([length_of(part) for part in shape.at])
-            else:
+            at = rows[shape.at] if isinstance(shape.at, str) else centers.get(name)
+            if at is None:
                 continue  # a body whose position is not known
-            sizes = [size(getattr(shape, part)) for part in shape.sizes]
-            first, axes = getattr(shape, shape.sizes[0]), _axes(shape)
-            if isinstance(shape, CoordinateFrame):
-                for column, tone in enumerate(("red", "green", "blue")):
-                    along = np.roll(axes, 2 - column, axis=1)  # the z axis of an arrow is that axis of the frame
-                    yield Solid(name, meshes.arrow(*sizes), shapes.COLORS[tone], row, turn, offset, along)
-                continue
-            made = _of_file(shape.path, *sizes) if isinstance(shape, FileMesh) else MADE_BY[type(shape)](*sizes)
-            parameter = first if isinstance(first, str) and isinstance(shape, FOLLOWING) else ""
-            yield Solid(
-                name,
-                made,
-                color,
-                row,
-                turn,
-                offset,
-                axes,
-                parameter=parameter,
-                value=values.get(parameter, 0.0),
-            )
+            make = partial(_of_file, shape.path) if isinstance(shape, FileMesh) else MADE_BY[type(shape)]
+            mesh, offset, changes = _placed(shape, make, values)
+            parts = [(color, _axes(shape))]
+            if isinstance(shape, CoordinateFrame):  # the z axis of an arrow is that axis of the frame
+                axes = (np.roll(parts[0][1], 2 - column, axis=1) for column in range(3))
+                parts = list(zip(map(shapes.COLORS.__getitem__, ("red", "green", "blue")), axes, strict=True))
+            for tone, axes_of_part in parts:
+                yield Solid(name, mesh, tone, at, turn, offset, axes_of_part, changes=changes)
 
 
-FOLLOWING = (shapes.Sphere, shapes.Wheel, shapes.Disc)
-"""Shapes that are as large as their radius, which may be a parameter that changes in a live page."""
+def _placed(
+    shape: BodyShape, make: Callable[..., Mesh], values: Mapping[str, float]
+) -> tuple[Mesh, Floats, tuple[Change, ...]]:
+    """The triangles of a shape, its offset in the body, and the changes of both by parameters."""
+
+    def made(values: Mapping[str, float]) -> tuple[Mesh, Floats]:
+        sizes = [_length(getattr(shape, name), values) for name in shape.sizes]
+        for name, size in zip(shape.sizes, sizes, strict=True):
+            if not size > 0.0:
+                raise ModelError(f"The size {getattr(shape, name)} of a shape is {size:g}: it must be positive.")
+        at = (0.0, 0.0, 0.0) if isinstance(shape.at, str) else shape.at
+        return make(*sizes), np.array([_length(part, values) for part in at])
+
+    mesh, offset = made(values)
+    places = () if isinstance(shape.at, str) else shape.at
+    given = (*(getattr(shape, size) for size in shape.sizes), *places)
+    changes = []
+    for name in dict.fromkeys(size for size in given if isinstance(size, str)):
+        step = 1e-3 * values[name] or 1.0
+        other, moved = made({**values, name: values[name] + step})
+        vertices = (other.vertices - mesh.vertices) / step
+        changes.append(Change(name, values[name], vertices, (moved - offset) / step))
+    return mesh, offset, tuple(changes)
+
+
+def _length(value: float | str, values: Mapping[str, float]) -> float:
+    return values[value] if isinstance(value, str) else value
+
 
 MADE_BY: dict[type[BodyShape], Callable[..., Mesh]] = {
     shapes.Sphere: meshes.sphere,
@@ -194,6 +214,7 @@ MADE_BY: dict[type[BodyShape], Callable[..., Mesh]] = {
     shapes.Torus: meshes.torus,
     shapes.Plane: meshes.plane,
     shapes.Arrow: meshes.arrow,
+    shapes.CoordinateFrame: meshes.arrow,
 }
 """What makes the triangles of a shape of its sizes."""
 

@@ -320,7 +320,7 @@ def _size(value: Any, what: str) -> Size:
     """A size: a positive number, or the name of a parameter."""
     if isinstance(value, str) or hasattr(value, "name"):
         return name_of(value)
-    size = number(value, what)
+    size = math.nan if getattr(value, "free_symbols", None) else number(value, what)
     if not (math.isfinite(size) and size > 0.0):
         raise ModelError(f"The {what} is a positive number, m, or a parameter, not {shown(value)}.")
     return size

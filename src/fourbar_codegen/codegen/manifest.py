@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import reduce
-from itertools import count
 from operator import or_
 from typing import Any
 
@@ -134,9 +133,8 @@ def _constraints(model: Model, equations: Equations, program: Program) -> Constr
 
 def _drawing(model: Model, equations: Equations) -> Drawing:
     picture, mechanism = equations.drawing.picture, model.mechanism
-    names = _distinct([point.name for point in picture.points])
     return Drawing(
-        points=tuple(Point(name, point.body) for name, point in zip(names, picture.points, strict=True)),
+        points=tuple(Point(point.name, point.body) for point in picture.points),
         shapes=tuple(Shape(ShapeKind(shape.kind), shape.name, tuple(shape.points)) for shape in picture.shapes),
         not_drawn=tuple(picture.not_drawn),
         is_at_rest=picture.is_at_rest,
@@ -311,14 +309,3 @@ def operations_of(functions: Sequence[Function]) -> Operations:
         counts={function.name: function.operations for function in functions},
         before_sharing={function.name: function.operations_before_sharing for function in functions},
     )
-
-
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The names, with a number appended to those that were used before; that of unnamed points is empty."""
-    taken = {*names}
-    distinct: list[str] = []
-    for name in names:
-        numbered = (f"{name} ({number})" for number in count(2))
-        distinct.append(name if name not in distinct or not name else next(n for n in numbered if n not in taken))
-        taken.add(distinct[-1])
-    return distinct

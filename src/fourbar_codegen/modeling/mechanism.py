@@ -242,6 +242,8 @@ class Mechanism:
     is_origin_fixed : bool or None
         Whether positions of drawn points are relative to the System's fixed point, or to another point at rest since
         that is not connected to the bodies; None for a KanesMethod, which has no fixed point. Also left out.
+    placed : tuple of (str, str)
+        For each shape in a frame at a point, the names of the body or frame, and of the point. Also left out.
     """
 
     time: sm.Symbol
@@ -267,6 +269,7 @@ class Mechanism:
     not_drawn: tuple[str, ...]
     length_laws: tuple[LengthLaw, ...] = field(hash=False)
     is_origin_fixed: bool | None = field(hash=False)
+    placed: tuple[tuple[str, str], ...] = field(hash=False)
 
     # By the mechanics, which stand above.
     forces_along_auxiliary_speeds = Registered[[Sequence[sm.Expr]], tuple[sm.Expr, ...]]()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import keyword
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import chain
 from numbers import Real
@@ -21,6 +21,7 @@ from fourbar_codegen.interface.arguments import finite_number, is_mapping, name_
 from fourbar_codegen.interface.registered import Registered
 from fourbar_codegen.modeling.mechanism import Mechanism, walk
 from fourbar_codegen.modeling.system_reader import read_mechanism
+from fourbar_codegen.modeling.visualizations import Visualization, read_visualization
 
 if TYPE_CHECKING:
     from sympy.physics.mechanics import KanesMethod, Point, ReferenceFrame, Vector
@@ -236,7 +237,9 @@ class Model:
     shapes : mapping of body, ReferenceFrame or str to shape or sequence of shapes, optional
         What bodies look like in pictures in space: `Sphere`, `Box`, `Cylinder`, `Wheel`, `Mesh` and others. Wheels,
         limbs and other bodies have shapes by themselves; these replace them, and an empty list hides a body. Sizes
-        may be parameters. They compile nothing.
+        may be parameters. They compile nothing. Shapes of pydy.viz are taken as well, a list of its visualization
+        frames or its Scene in place of the mapping, and a scene of symmeplot for its lines, such as
+        ``Plotter.from_model(bicycle)`` of SymBRiM.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not contain. A symbol or function of the same name
         with different assumptions, such as ``positive=True``, is always an error.
@@ -278,14 +281,15 @@ class Model:
         state_equations: Mapping[sm.Expr, sm.Expr] | None = None,
         points: Sequence[Point] = (),
         lines: Sequence[Sequence[Point | str]] = (),
-        shapes: Mapping[Any, BodyShape | Sequence[BodyShape]] | None = None,
+        shapes: Mapping[Any, BodyShape | Sequence[BodyShape]] | Any = None,
         extra: Literal["raise", "ignore"] = "raise",
     ) -> None:
         _check_model_name(name)
         self.system = system
         self.name = name
         parameters, outputs = _mapping(parameters, "parameters"), _mapping(outputs, "outputs")
-        self.mechanism: Mechanism = read_mechanism(system, points, lines, _known_numbers(parameters, outputs))
+        seen = read_visualization(shapes)
+        self.mechanism: Mechanism = read_mechanism(system, points, lines, _known_numbers(parameters, outputs), seen)
         for label, expressions in (*self.mechanism.labelled_loads(), *self.mechanism.labelled_structure()):
             _check_expressions(expressions, label)
         self.state_equations = self._read_state_equations(_mapping(state_equations, "state_equations"))
@@ -315,7 +319,7 @@ class Model:
         self._check_auxiliary_states()
         states = {_name(function): function for function in self._states()}
         self.initial = self._check_initial(_by_symbol(_mapping(initial, "initial"), states))
-        self.shapes = self._read_shapes(_mapping(shapes, "shapes"))
+        self.shapes = self._read_shapes(seen)
         if self.mechanism.states_velocity_constraints:
             self._check_velocity_constraints()
 
@@ -371,12 +375,15 @@ class Model:
             self.outputs,
         )
 
-    def _read_shapes(self, shapes: Mapping[Any, Any]) -> dict[str, tuple[BodyShape, ...]]:
+    def _read_shapes(self, seen: Visualization) -> dict[str, tuple[BodyShape, ...]]:
         """Shapes by names of bodies, or of frames that are not those of a body."""
         bodies, frames = self.mechanism.bodies, self.mechanism.frames
         of_frame = {frames[body.frame].name: body.name for body in reversed(bodies) if body.frame is not None}
         names = dict.fromkeys([*(body.name for body in bodies), *(frame.name for frame in frames)])
         found: dict[str, tuple[BodyShape, ...]] = {}
+        shapes = {**seen.shapes}
+        for (name, point), placed in zip(self.mechanism.placed, seen.placed, strict=True):
+            shapes[name] = (*shapes.get(name, ()), replace(placed.shape, at=point))
         for name, of_body in named_shapes(shapes, names).items():
             body = of_frame.get(name, name) if name not in self._bodies() else name
             if body in found or self._bodies().count(body) > 1:

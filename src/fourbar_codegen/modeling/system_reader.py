@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import count
 from typing import Any, Literal
 
 import sympy as sm
@@ -26,6 +27,7 @@ from fourbar_codegen.modeling.mechanism import (
     walk,
 )
 from fourbar_codegen.modeling.shapes import find_shapes
+from fourbar_codegen.modeling.visualizations import NOTHING, Placed, Visualization
 
 __all__ = ["read_mechanism", "wrong_number"]
 
@@ -44,6 +46,7 @@ def read_mechanism(
     points: Iterable[Any] = (),
     lines: Iterable[Iterable[Any]] = (),
     values: Iterable[sm.Symbol | str] = (),
+    seen: Visualization = NOTHING,
 ) -> Mechanism:
     """Read a System or a KanesMethod.
 
@@ -57,6 +60,8 @@ def read_mechanism(
         Points, or names of points, that lines connect in drawings.
     values : iterable of Symbol or str, optional
         Parameters with a number, or their names: points with simple positions that take no others are drawn, too.
+    seen : Visualization, optional
+        Further lines, points and frames of pictures.
 
     Returns
     -------
@@ -90,14 +95,17 @@ def read_mechanism(
     reader.read_points(users)
     bodies = tuple(reader.body(body) for body in description.bodies)
     loads = tuple(reader.load(load) for load in description.loads)
-    lines = _lines(lines)
-    named = [*_points(points), *(point for line in lines for point in line if isinstance(point, me.Point))]
+    connected = [*_lines(lines), *map(list, seen.lines)]
+    named = [*_points(points), *(point for line in connected for point in line if isinstance(point, me.Point))]
+    named += [each.point for each in seen.placed]
     q = (*description.q_ind, *description.q_dep)
     rates = (*description.u_ind, *description.u_dep, *(c.diff(me.dynamicsymbols._t) for c in q))
     functions = {function.name for function in (*q, *rates) if isinstance(function, AppliedUndef)}
     own = frozenset(value for value in values if getattr(value, "name", value) not in functions)
     known = _Known(frozenset(q), frozenset(rates), own)
     drawn, of_points, not_drawn = reader.drawn(description.bodies, named, known)
+    for frame in seen.frames:
+        reader.number(frame, "shapes")
     frames = reader.frames()
     pathways = tuple(_pathways(description.actuators, of_points))
     tips, shapes = find_shapes(frames, drawn, bodies, pathways)
@@ -120,11 +128,24 @@ def read_mechanism(
         **_actuators(description),
         acceleration_constraints=tuple(description.acceleration_constraints),
         drawn=(*drawn, *tips),
-        shapes=(*shapes, *pathways, *_drawn_lines(lines, drawn, of_points)),
+        shapes=(*shapes, *pathways, *_drawn_lines(connected, drawn, of_points)),
         not_drawn=not_drawn,
         length_laws=tuple(_length_laws(description.sources)),
         is_origin_fixed=None if fixed is None else next(iter(of_points), None) is fixed,
+        placed=tuple((_owner(each, description), drawn[of_points[each.point]].name) for each in seen.placed),
     )
+
+
+def _owner(placed: Placed, description: _Description) -> str:
+    """The name of the body that a shape belongs to, or else of its frame."""
+    for body in description.bodies:
+        if isinstance(body, me.RigidBody):
+            is_of_body = placed.frame is body.frame
+        else:
+            is_of_body = placed.frame is description.frame and placed.point is body.masscenter
+        if is_of_body:
+            return str(body.name)
+    return str(placed.frame.name)
 
 
 SIMPLE = (sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.atan2)
@@ -202,6 +223,14 @@ def _drawn_lines(
             if isinstance(end, str) and end not in names:
                 raise ModelError(f"lines= names a point {end}, which is not drawn.{meant(end, names)}")
         yield Shape("line", "", tuple(names[end] if isinstance(end, str) else numbers[end] for end in line))
+
+
+def _distinct(name: str, earlier: Collection[str], taken: set[str]) -> str:
+    """A name, with a number appended if an earlier point has it."""
+    if name in earlier and name:
+        name = next(other for number in count(2) if (other := f"{name} ({number})") not in taken)
+        taken.add(name)
+    return name
 
 
 def _pathways(actuators: Iterable[Any], numbers: Mapping[me.Point, int]) -> Iterator[Shape]:
@@ -487,6 +516,7 @@ class _Reader:
         numbers: dict[me.Point, int] = {}
         points: list[DrawnPoint] = []
         left_out = []
+        taken = {point.name for point in parents}
         for point, parent in parents.items():
             offset: Vector = ()
             if point is not root:
@@ -502,7 +532,8 @@ class _Reader:
             numbers[point] = len(points)
             before = None if point is root else numbers[parent]
             number = self.point_numbers.get(point)
-            points.append(DrawnPoint(point.name, before, offset, names.get(point), number, point in on_the_way))
+            name = _distinct(point.name, [other.name for other in points], taken)
+            points.append(DrawnPoint(name, before, offset, names.get(point), number, point in on_the_way))
         return tuple(points), numbers, tuple(left_out)
 
     def _is_known(self, position: Any, known: _Known) -> bool:

@@ -11,7 +11,7 @@ import PIL.Image
 import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
-from builders.systems import pendulum
+from builders.systems import pendulum, spatial_four_bar
 from harness.programs import complaints
 from sympy.physics.mechanics.system import System
 
@@ -142,6 +142,22 @@ def test_pins_are_no_wheels_and_planar_mechanisms_stay_drawings(make):
     scene = scene_of(run, 3, in_space=True)
     assert not scene.contacts
     assert not any(isinstance(shape, fb.Wheel | fb.Disc) for of_body in scene.shapes.values() for shape in of_body)
+
+
+def test_modes_and_branches_in_space_are_drawn_with_bodies():
+    """And a pin on the ground is no contact of a wheel, though it is at a fixed place beside another one."""
+    model = fb.compile_model(spatial_four_bar())
+    modes = model.initial_states(speeds=[0.0])
+    figure = modes.plot()
+    for axes in figure.axes:
+        [image] = axes.images
+        assert 0.01 < (image.get_array()[..., 3] > 0.0).mean() < 0.5
+    branches = model.kinematics({"q1": np.linspace(-0.6, 0.6, 5)})
+    for figure in (branches.plot_paths(), branches[0].plot_paths(["P2"])):
+        for axes in figure.axes:
+            [bodies] = axes.collections
+            assert len(bodies.get_facecolor()) > 100  # triangles
+    assert all(isinstance(shape, fb.Line) for of_body in model.shapes.values() for shape in of_body)
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -156,8 +156,12 @@ class Functions(Evaluator):
         """The same for states and inputs in columns, shapes (n_points, 3, n_t) and (n_forces, 3, n_t)."""
         return self.evaluate_along({Role.DRAWING: (0, 1)}, times, states, inputs, p)[1]
 
+    def orientations(self, t: float, x: ArrayLike, p: Values | None = None, r: Values | None = None) -> Floats:
+        """The rotation matrices of the drawn bodies, shape (n_bodies, 3, 3)."""
+        return self.evaluate(Role.ORIENTATIONS, t, x, p, r)[0].reshape(-1, 3, 3)
+
     def orientations_along(self, times: ArrayLike, states: Floats, inputs: Floats, p: Values | None = None) -> Floats:
-        """The rotation matrices of the drawn bodies, shape (n_bodies, 3, 3, n_t), for states and inputs in columns."""
+        """The same, shape (n_bodies, 3, 3, n_t), for states and inputs in columns."""
         [rotations] = self.evaluate_along({Role.ORIENTATIONS: (0,)}, times, states, inputs, p)[1]
         return rotations.reshape(-1, 3, 3, rotations.shape[-1])
 

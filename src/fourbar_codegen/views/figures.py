@@ -17,8 +17,9 @@ from fourbar_codegen.errors import ModelError, shown
 from fourbar_codegen.interface.arguments import name_of, numbers, positive
 from fourbar_codegen.interface.extras import imported
 from fourbar_codegen.interface.progress import QUIET_SECONDS
-from fourbar_codegen.views.frames import Frames, equal_times, frames_of
-from fourbar_codegen.views.model_shapes import ShapesLike
+from fourbar_codegen.kernel.kernel import parameter_array
+from fourbar_codegen.views.frames import equal_times, frames_of
+from fourbar_codegen.views.model_shapes import ShapesLike, given_shapes
 from fourbar_codegen.views.panels import Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
 from fourbar_codegen.views.shaded import Stroke, draw_solids, draw_solids_in_space, ground, seen_obliquely
@@ -377,9 +378,15 @@ def plot_modes(modes: AssemblyModes) -> Figure:
     if not model.points or not len(modes):
         raise ModelError(f"There is nothing to draw: {modes!r} with the points {', '.join(model.points) or 'none'}.")
     states = np.where(np.isfinite(modes.x), modes.x, 0.0)[:MAX_PANELS]
-    positions = np.stack([model.drawing(modes.t, x, modes.parameters, modes.inputs)[0] for x in states], axis=2)
-    drawn = scene(model, positions)
-    figure, cells = _figure(len(states), drawn.view)
+    given = modes.parameters, modes.inputs
+    drawn = scene(
+        model,
+        np.stack([model.drawing(modes.t, x, *given)[0] for x in states], axis=2),
+        rotations=np.stack([model.orientations(modes.t, x, *given) for x in states], axis=3),
+        p=parameter_array(model, modes.parameters),
+        given=given_shapes(model),
+    )
+    figure, cells = _figure(len(states), drawn.view if drawn.is_planar else replace(drawn.view, is_planar=True))
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else " of infinitely many" if modes.free else ", or more")
@@ -387,17 +394,32 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         + (f"\n{_label(modes.freedom)}" if modes.free else ""),
         wrap=True,
     )
-    low, high = (end.reduce(ends, axis=1) for end, ends in zip((np.fmin, np.fmax), drawn.limits(), strict=True))
+    show = _draw_modes(cells, drawn)
     n_qi = model.layout.n_independent_coordinates
     for number, axes in enumerate(cells):
-        _draw(axes, drawn)(number)
+        show(number)
         named = zip(model.coordinates[n_qi:], modes.x[number, n_qi : model.n_q], strict=True)
         text = _label(", ".join(f"{name} = {value:.3g}" for name, value in [*named][:3]))
         axes.set_title(f"{number}: {text}", fontsize="small")
+    return figure
+
+
+def _draw_modes(cells: Sequence[Any], drawn: Scene) -> Callable[[int], None]:
+    """Draw the mechanism in all modes in windows of the same size; returns a function that shows one in its axes."""
+    if not drawn.is_planar:
+        seen = seen_obliquely(drawn)
+        move = _draw_frames(cells, drawn, seen, {}, {}, _window(drawn, seen, {}))
+        return lambda number: move(number, number)
+    low, high = (end.reduce(ends, axis=1) for end, ends in zip((np.fmin, np.fmax), drawn.limits(), strict=True))
+
+    def show(number: int) -> None:
+        axes = cells[number]
+        _draw(axes, drawn)(number)
         for name, begin, end in zip(drawn.view.axes, low, high, strict=False):
             getattr(axes, f"set_{name}lim")(begin - EDGE * drawn.size, end + EDGE * drawn.size)
         axes.set_aspect("equal")
-    return figure
+
+    return show
 
 
 def plot_kinematics(found: Kinematics, *names: Any) -> Figure:
@@ -490,9 +512,16 @@ def _plot_branches(branches: Sequence[Branch], points: Sequence[str]) -> Figure:
     if not closed:
         raise ModelError(f"There is nothing of {model.name} to draw: the loops close at none of the drive's values.")
     shown = closed[:MAX_PANELS]
-    known = [branch.positions[:, :, np.isfinite(branch.q).all(axis=0)] for branch in shown]
-    view = view_of(model, np.concatenate(known, axis=2)[: len(model.points)])
-    scenes = [scene(model, positions, view) for positions in known]
+    known = [np.isfinite(branch.q).all(axis=0) for branch in shown]
+    positions = [branch.positions[:, :, at] for branch, at in zip(shown, known, strict=True)]
+    given = given_shapes(model)
+    view = view_of(model, np.concatenate(positions, axis=2)[: len(model.points)], in_space=bool(given))
+    scenes = []
+    for branch, at, places in zip(shown, known, positions, strict=True):
+        q, r = branch.q[:, at], branch.r[:, at]
+        states = np.concatenate((q, np.zeros((model.n_u + model.n_z, q.shape[1]))))
+        rotations = model.orientations_along(np.full(q.shape[1], branch.t), states, r, branch.p)
+        scenes.append(scene(model, places, view, rotations=rotations, p=branch.p, given=given))
     figure, cells = _figure(len(shown), view)
     for number, (axes, drawn) in enumerate(zip(cells, scenes, strict=True)):
         _draw_paths(axes, drawn, chosen)
@@ -562,16 +591,21 @@ def _draw(axes: Any, drawn: Scene, arrows: Mapping[int, int] | None = None) -> C
 
 
 def _draw_frames(
-    cells: Sequence[Any], drawn: Frames, seen: Scene, traces: Mapping[str, Floats], window: tuple[Floats, Floats]
+    cells: Sequence[Any],
+    drawn: Scene,
+    seen: Scene,
+    arrows: Mapping[int, int],
+    traces: Mapping[str, Floats],
+    window: tuple[Floats, Floats],
 ) -> Callable[[int, int], None]:
-    """Draw a run without axes, in a plane or as seen from above the side.
+    """Draw instants without axes, in a plane or as seen from above the side.
 
     Parameters
     ----------
     cells : sequence of matplotlib.axes.Axes
-    drawn : Frames
-    seen : Scene
-        That of the frames, as it is seen.
+    drawn, seen : Scene
+        And as it is seen.
+    arrows : mapping of int to int
     traces : mapping of name to ndarray, shape (3, n)
         Paths of points in the inertial frame.
     window : tuple of ndarray
@@ -588,13 +622,13 @@ def _draw_frames(
     for axes in cells:
         axes.set_aspect("equal")
         axes.set_axis_off()
-        if drawn.scene.is_planar:
+        if drawn.is_planar:
             for path in paths:
                 axes.plot(*path[:2], color=TRACE, linewidth=1.0, zorder=1)
-            movers.append(_draw(axes, seen, drawn.arrows))
+            movers.append(_draw(axes, seen, arrows))
         else:
-            strokes = [Stroke(path, TRACE, 1.2) for path in paths]
-            movers.append(_draw_obliquely(axes, seen, drawn, strokes, middle, half))
+            strokes = [*ground(drawn), *(Stroke(path, TRACE, 1.2) for path in paths)]
+            movers.append(_draw_obliquely(axes, seen, arrows, strokes, middle, half))
 
     def show(cell: int, instant: int) -> None:
         movers[cell](instant)
@@ -605,10 +639,10 @@ def _draw_frames(
 
 
 def _draw_obliquely(
-    axes: Any, seen: Scene, drawn: Frames, paths: Sequence[Stroke], middle: Floats, half: Floats
+    axes: Any, seen: Scene, arrows: Mapping[int, int], still: Sequence[Stroke], middle: Floats, half: Floats
 ) -> Callable[[int], None]:
     """Draw bodies and lines with a depth buffer; returns a function that shows an instant."""
-    still, styled = [*ground(drawn.scene), *paths], _styled(seen, drawn.arrows)
+    styled = _styled(seen, arrows)
 
     def strokes(instant: int) -> list[Stroke]:
         found = [*still]
@@ -677,8 +711,8 @@ def plot_frames(
     in_space = not whole.scene.is_planar
     drawn = frames_of(trajectory, lambda _, __: at, shapes, in_space=in_space)
     figure, cells = _figure(len(at), replace(drawn.scene.view, is_planar=True))
-    seen = _seen(drawn)
-    show = _draw_frames(cells, drawn, seen, {}, _window(drawn, seen))
+    seen = _seen(drawn.scene)
+    show = _draw_frames(cells, drawn.scene, seen, drawn.arrows, {}, _window(drawn.scene, seen, drawn.arrows))
     for number, axes in enumerate(cells):
         show(number, number)
         axes.set_title(f"t = {at[number]:g} s", fontsize="small")
@@ -747,11 +781,11 @@ def animate(
         paths = {name: finer[name] for name in traced}
     figure = figures.Figure(figsize=(6.0, 6.0))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    seen = _seen(drawn)
-    middle, half = _window(drawn, seen)
+    seen = _seen(drawn.scene)
+    middle, half = _window(drawn.scene, seen, drawn.arrows)
     figure.set_figheight(6.0 * np.clip(half[1] / half[0], 0.4, 1.5))  # as high as needed
     shape = figure.get_size_inches()
-    move = _draw_frames([axes], drawn, seen, paths, (middle, shape * np.max(half / shape)))
+    move = _draw_frames([axes], drawn.scene, seen, drawn.arrows, paths, (middle, shape * np.max(half / shape)))
     time = axes.annotate("", (0.02, 0.02), xycoords="axes fraction", fontsize="small", color="0.3")
 
     def show(frame: int) -> None:
@@ -785,14 +819,14 @@ def animate_mode(linear: Linearization, number: int, **how: Any) -> FuncAnimatio
     return animate(linear.mode(number, **of_mode), **how)
 
 
-def _seen(drawn: Frames) -> Scene:
-    """The scene in a plane, or as it is seen from above the side."""
-    return drawn.scene if drawn.scene.is_planar else seen_obliquely(drawn.scene)
+def _seen(drawn: Scene) -> Scene:
+    """A scene in a plane, or as it is seen from above the side."""
+    return drawn if drawn.is_planar else seen_obliquely(drawn)
 
 
-def _window(drawn: Frames, seen: Scene) -> tuple[Floats, Floats]:
+def _window(drawn: Scene, seen: Scene, arrows: Mapping[int, int]) -> tuple[Floats, Floats]:
     """The middle of an animation, shape (2, n_t), and half of its sizes, (2,); in space it follows what goes far."""
-    tips, follows = [*chain(*drawn.arrows.items())], not drawn.scene.is_planar
+    tips, follows = [*chain(*arrows.items())], not drawn.is_planar
     low, high = seen.limits([row for row in (*seen.shown, *tips) if not follows or seen.moves(row)])
     ends = np.fmin.reduce(low, axis=1), np.fmax.reduce(high, axis=1)
     size, largest = (ends[1] - ends[0])[:2], np.fmax.reduce(high - low, axis=1)[:2]

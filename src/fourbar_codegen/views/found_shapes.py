@@ -106,10 +106,15 @@ class States:
             and np.isfinite(self.rotations[:, body]).all()
         ]
 
+    def goes(self, point: int) -> bool:
+        """Whether a point's place is known and changes."""
+        places = self.points[:, point]
+        return bool(np.isfinite(places).all() and np.ptp(places, axis=0).max(initial=0.0) > RTOL * self.size)
+
     def moves(self, body: int, center: int) -> bool:
         """Whether a body moves."""
         turns = np.ptp(self.rotations[:, body], axis=0).max(initial=0.0)
-        return bool(max(turns, np.ptp(self.points[:, center], axis=0).max(initial=0.0) / self.size) > RTOL)
+        return bool(turns > RTOL or self.goes(center))
 
 
 def random_states(model: Kernel, p: Floats) -> States:
@@ -146,9 +151,9 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     Returns
     -------
     tuple of Contact
-        A contact point is fixed on no body. It is where the tangent of a wheel, a circle or a torus about an axis of
-        the body, is horizontal: C - P = R e_r - r n, with the upward normal n, and e_r the direction of -n in the
-        wheel's plane. That holds to 1e-9 of the radius at 20 random states.
+        A contact point is fixed neither on a body nor on the ground. It is where the tangent of a wheel, a circle or a
+        torus about an axis of the body, is horizontal: C - P = R e_r - r n, with the upward normal n, and e_r the
+        direction of -n in the wheel's plane. That holds to 1e-9 of the radius at 20 random states.
 
     Notes
     -----
@@ -160,7 +165,7 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     fixed = {body: states.fixed(body, center) for body, center in states.bodies}
     best: dict[int, tuple[float, Contact]] = {}
     for point in range(len(model.points)):
-        if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
+        if any(of_body[point] for of_body in fixed.values()) or not states.goes(point):
             continue
         for body, center in states.bodies:
             for up in _upwards(model):

@@ -1,9 +1,11 @@
 """Points, plots, animations and the interactive report, which a real browser opens."""
 
 import base64
+import io
 import json
 import re
 import subprocess
+import warnings
 
 import numpy as np
 import pytest
@@ -463,3 +465,47 @@ def test_report_of_many_curves_at_late_times_shows_its_end(opened, tmp_path):
     page = opened(model.simulate((1e8, 1e8 + 10.0), [0.3, 0.0]))
     page.keyboard.press("End")
     assert page.locator("#time").text_content() == "t = 100000010.000 s"
+
+
+@pytest.fixture(scope="module")
+def nine_masses():
+    """Each on its spring, of which the last is at rest."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    system = me.System(frame, origin)
+    origin.set_vel(frame, 0)
+    for number in range(1, 10):
+        (x, v), point = me.dynamicsymbols(f"x{number} v{number}"), me.Point(f"P{number}")
+        point.set_pos(origin, x * frame.x + number * frame.y)
+        point.set_vel(frame, v * frame.x)
+        system.add_coordinates(x)
+        system.add_speeds(v)
+        system.add_kdes(v - x.diff())
+        system.add_bodies(me.Particle(f"mass{number}", point, 1))
+        system.add_loads(me.Force(point, -x * frame.x))
+    model = fb.compile_model(fb.Model(system, name="nine_masses"))
+    return model.simulate((0.0, 3.0), [*([0.5] * 8), 0.0, *([0.0] * 9)])
+
+
+@pytest.mark.slow
+def test_many_curves_are_grouped_by_body_and_hidden_at_rest_and_by_a_click(opened, nine_masses):
+    page = opened(nine_masses)
+    coordinates = page.locator("#plots > details").first
+    summary = coordinates.locator("details summary")
+    assert summary.inner_text() == "9 curves, 1 of them hidden"
+    assert coordinates.locator("polyline.curve").count() == 8
+    summary.click()
+    assert coordinates.locator("strong").all_inner_texts() == [f"mass{number}" for number in range(1, 10)]
+    for name, count in (("x9", 9), ("x1", 8), ("x1", 9)):
+        coordinates.get_by_role("button", name=name).click()
+        assert coordinates.locator("polyline.curve").count() == count
+
+
+def test_plots_of_many_curves_have_a_legend_below_with_the_bodies(nine_masses):
+    figure = nine_masses.plot()
+    nine_masses.report()  # which compiles positions
+    figure = nine_masses.plot()
+    names = [text.get_text() for text in figure.axes[0].get_legend().get_texts()]
+    assert names == [name for number in range(1, 10) for name in (f"mass{number}:", f"x{number}")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # Matplotlib's, if there is no room
+        figure.savefig(io.BytesIO())

@@ -22,6 +22,7 @@ from fourbar_codegen.views import meshes, shaded
 from fourbar_codegen.views.found_shapes import parts_of
 from fourbar_codegen.views.frames import frames_of
 from fourbar_codegen.views.html_page import quaternions
+from fourbar_codegen.views.moved_bodies import moved_bodies
 from fourbar_codegen.views.solids import solids_of
 
 M, G, L = sm.symbols("m g l")
@@ -142,6 +143,13 @@ def test_pins_are_no_wheels_and_planar_mechanisms_stay_drawings(make):
     scene = scene_of(run, 3, in_space=True)
     assert not scene.contacts
     assert not any(isinstance(shape, fb.Wheel | fb.Disc) for of_body in scene.shapes.values() for shape in of_body)
+
+
+def test_coordinates_and_speeds_belong_to_the_bodies_that_they_move(bicycle):
+    """As the coordinates of the benchmark bicycle are defined: of the rear frame, then spin, steer, and spin."""
+    frame, wheels = "rear frame", {"6": "rear wheel", "7": "front frame", "8": "front wheel"}
+    expected = {f"{kind}{n}": wheels.get(n, frame) for kind in "qu" for n in "12345678"}
+    assert moved_bodies(bicycle.kernel, parameter_array(bicycle.kernel, None)) == expected
 
 
 def test_modes_and_branches_in_space_are_drawn_with_bodies():

@@ -46,7 +46,7 @@ from fourbar_codegen.views.html_page import (
     scene_data,
 )
 from fourbar_codegen.views.model_shapes import given_shapes
-from fourbar_codegen.views.panels import ENERGY, panel_names, vector_title
+from fourbar_codegen.views.panels import ENERGY, bodies_of_curves, panel_names, vector_title
 from fourbar_codegen.views.scene import Scene, known_points, scene
 
 if TYPE_CHECKING:
@@ -413,6 +413,7 @@ def _inputs(run: Trajectory) -> list[dict[str, Any]]:
 def _panels(run: Trajectory) -> list[dict[str, Any]]:
     """The panels of plots: their curves as numbers of columns, and whether they are shown at first."""
     model, panels, begin = run.kernel, list[dict[str, Any]](), 0
+    bodies = bodies_of_curves(model, run.parameters)
     has_energy = np.nan_to_num(run.kinetic_energy).any()
     for title, names, is_logarithmic in panel_names(model):
         columns = list(range(begin, begin + len(names)))
@@ -421,11 +422,16 @@ def _panels(run: Trajectory) -> list[dict[str, Any]]:
             columns = columns[:1]
         if columns and not (is_logarithmic and not model.n_c + len(model.layout.constraints.invariants)):
             is_open = not panels or (title == ENERGY and has_energy)
-            panels.append({"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open)})
+            of_curves = [bodies.get(name, "") for name in names if bodies.keys() & {*names}]
+            panels.append(
+                {"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open), "bodies": of_curves}
+            )
     for vector in VECTORS:
         if np.isfinite(run.vectors[vector.name]).any():
             columns = [begin, begin + 1, begin + 2]
-            panels.append({"title": vector_title(vector), "log": False, "columns": columns, "open": False})
+            panels.append(
+                {"title": vector_title(vector), "log": False, "columns": columns, "open": False, "bodies": []}
+            )
         begin += 3
     return panels
 

@@ -163,10 +163,10 @@ const controls = player(i => {
 // Those that are open and in the window are drawn.
 const inWindow = new Set();
 const plots = data.panels.map(panel => {
-  const {title, log, columns, open} = panel, details = make("details", {}, byId("plots"));
+  const {title, log, columns, open, bodies} = panel, details = make("details", {}, byId("plots"));
   make("summary", {}, details, title);
   details.open = open;
-  const plot = timePlot(details, {title, log, names: columns.map(k => data.columns[k])}, i => controls.seek(i));
+  const plot = timePlot(details, {title, log, names: columns.map(k => data.columns[k]), bodies}, i => controls.seek(i));
   const curves = run => columns.map(k => columnOf(run, k))
     .map(values => log ? values.map(value => Math.log10(Math.max(value, 2 ** -53))) : values);
   const draw = () => {

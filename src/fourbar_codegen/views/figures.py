@@ -20,7 +20,7 @@ from fourbar_codegen.interface.progress import QUIET_SECONDS
 from fourbar_codegen.kernel.kernel import parameter_array
 from fourbar_codegen.views.frames import equal_times, frames_of
 from fourbar_codegen.views.model_shapes import ShapesLike, given_shapes
-from fourbar_codegen.views.panels import Panel, panels, title_with_unit
+from fourbar_codegen.views.panels import FEW, Panel, panels, title_with_unit
 from fourbar_codegen.views.scene import Scene, View, known_points, scene, view_of
 from fourbar_codegen.views.shaded import Stroke, draw_solids, draw_solids_in_space, ground, seen_obliquely
 
@@ -65,6 +65,8 @@ LEGEND = 8
 """Most names of paths beside a drawing."""
 WIDTH, HEIGHT = 0.085, 0.2
 """Of a letter and of a line of a legend below a drawing, in inches."""
+SMALL, LINE = 0.065, 0.16
+"""The same of a legend below curves."""
 
 TICKS = 6
 """Numbers along the longest axis in space."""
@@ -161,9 +163,35 @@ def plot_trajectory(trajectory: Trajectory, names: str | Sequence[Any] = ()) -> 
             axes.plot(trajectory.t, values, label=_label(name))
         if panel.is_logarithmic:
             axes.set_yscale("log")
-        axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+        if len(panel.curves) > FEW:
+            _name_many(axes, panel)
+        else:
+            axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     figure.suptitle(trajectory.kernel.name)
     return figure
+
+
+def _name_many(axes: Any, panel: Panel) -> None:
+    """A legend of many curves below the axes, in columns, with those of a body after its name."""
+    nothing = imported("matplotlib.lines", "Plots", "visual").Line2D([], [], linestyle="none")
+    curves = dict(zip(panel.curves, axes.get_lines(), strict=True))
+    handles, labels = list[Any](), list[str]()
+    for body in dict.fromkeys(panel.bodies.get(name, "") for name in curves):
+        own = [name for name in curves if panel.bodies.get(name, "") == body]
+        handles += [nothing, *(curves[name] for name in own)] if body else [curves[name] for name in own]
+        labels += [f"{body}:", *own] if body else own
+    width, height = axes.figure.get_size_inches()
+    columns = max(1, int(width / (0.6 + SMALL * max(map(len, labels)))))
+    axes.legend(
+        handles,
+        list(map(_label, labels)),
+        loc="upper left",
+        bbox_to_anchor=(0.0, -0.1),
+        ncols=columns,
+        fontsize="x-small",
+        frameon=False,
+    )
+    axes.figure.set_figheight(height + LINE * -(-len(labels) // columns))
 
 
 def plot_fit(runs: Sequence[Trajectory], measured: Sequence[Mapping[str, Floats]]) -> Figure:

@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fourbar_codegen.kernel.kernel import ENERGIES, Kernel
+from fourbar_codegen.kernel.kernel import ENERGIES, Kernel, parameter_array
 from fourbar_codegen.results.trajectory import Trajectory
 from fourbar_codegen.runtime.enumerations import VECTORS, Quantity
+from fourbar_codegen.views.moved_bodies import moved_bodies
 
-__all__ = ["ENERGY", "Panel", "panel_names", "panels", "title_with_unit", "vector_title"]
+__all__ = ["ENERGY", "FEW", "Panel", "bodies_of_curves", "panel_names", "panels", "title_with_unit", "vector_title"]
 
 Floats = NDArray[np.float64]
 
 ENERGY = "Energy (J)"
+
+FEW = 8
+"""Most curves whose legend is a line of names."""
 
 
 @dataclass(frozen=True)
@@ -31,12 +35,15 @@ class Panel:
         Whether the vertical axis is logarithmic.
     is_open : bool
         Whether it is shown at first.
+    bodies : dict of str to str
+        The body that each curve belongs to, if there are many curves, as far as it is known.
     """
 
     title: str
     curves: dict[str, Floats]
     is_logarithmic: bool = False
     is_open: bool = True
+    bodies: dict[str, str] = field(default_factory=dict)
 
 
 def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
@@ -52,6 +59,14 @@ def panel_names(model: Kernel) -> list[tuple[str, tuple[str, ...], bool]]:
         ("Multipliers of the constraints", tuple(f"lambda{number + 1}" for number in range(model.n_c)), False),
         (f"{model.residual_label} (units of the constraints)", ("largest residual",), True),
     ]
+
+
+def bodies_of_curves(model: Kernel, parameters: Floats | None) -> dict[str, str]:
+    """The bodies that coordinates and speeds move, if there are many of these, and positions are compiled."""
+    values = parameter_array(model, parameters)
+    if max(model.n_q, model.n_u) <= FEW or not model.points or model.lacks_drawing or np.isnan(values).any():
+        return {}
+    return moved_bodies(model, values)
 
 
 def title_with_unit(model: Kernel, name: str) -> str:
@@ -86,8 +101,14 @@ def panels(trajectory: Trajectory) -> list[Panel]:
     largest = [np.maximum(residual.max(axis=0), np.finfo(float).eps / 2)] if len(residual) else []
     values: list[Sequence[Floats] | Floats] = [trajectory.q, trajectory.u, trajectory.z, trajectory.r]
     values += [trajectory.outputs, energies, trajectory.multipliers, largest]
+    bodies = bodies_of_curves(trajectory.kernel, trajectory.parameters)
     found = [
-        Panel(title, {n: row for n, row in zip(names, rows, strict=False) if np.isfinite(row).any()}, is_logarithmic)
+        Panel(
+            title,
+            {n: row for n, row in zip(names, rows, strict=False) if np.isfinite(row).any()},
+            is_logarithmic,
+            bodies={name: bodies[name] for name in names if name in bodies},
+        )
         for (title, names, is_logarithmic), rows in zip(panel_names(trajectory.kernel), values, strict=True)
     ]
     for vector in VECTORS:

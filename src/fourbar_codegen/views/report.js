@@ -25,11 +25,11 @@ for (const [name, value] of data.table) {
   make("td", {}, row, value);
 }
 
-const plots = data.plots.map(({title, log, open, curves}) => {
+const plots = data.plots.map(({title, log, open, bodies, curves}) => {
   const details = make("details", {}, byId("plots"));
   make("summary", {}, details, title);
   details.open = open;
-  const plot = timePlot(details, {title, log, names: curves.map(({name}) => name)}, i => controls.seek(i));
+  const plot = timePlot(details, {title, log, names: curves.map(({name}) => name), bodies}, i => controls.seek(i));
   plot.set(times, curves.map(({values}) => floats(values)));
   details.addEventListener("toggle", () => {
     plot.draw();

@@ -228,30 +228,62 @@ const mechanismPicture = (svg, scene) => {
   return picture;
 };
 
+// The least and largest of the finite values of curves; infinite if there are none.
+const rangeOf = curves => {
+  let low = Infinity, high = -Infinity;
+  for (const curve of curves) for (const value of curve) if (Number.isFinite(value)) {
+    low = Math.min(low, value);
+    high = Math.max(high, value);
+  }
+  return [low, high];
+};
+
 // Curves over time in a section, with a legend that shows the values at the cursor, which follows the pointer: `seek`
 // takes the number of a time. Widths are pixels of the page, so that labels are legible everywhere.
 const COLORS = 8;
 // Smaller values, relative to the largest in the same axes, are rounding errors.
 const NOISE = 1e-12;
-const timePlot = (section, {title, log, names}, seek) => {
+// Ranges below this, relative to the largest value in the same axes, are no motion.
+const AT_REST = 1e-9;
+const timePlot = (section, {title, log, names, bodies}, seek) => {
   const LEFT = 62, RIGHT = 8, TOP = 8, BOTTOM = 24, TALL = 170;
   const svg = make("svg", {role: "img", "aria-label": title, height: TALL}, section);
-  // Many names are folded, so that plots stay close together.
-  const fold = names.length > COLORS ? make("details", {}, section) : section;
-  if (fold !== section) make("summary", {}, fold, `${names.length} curves`);
-  const legend = make("div", {class: "controls"}, fold);
-  const outputs = names.map((name, c) => {
-    const entry = make("span", {}, legend);
+  // Many names are folded, so that plots stay close together. A click hides and shows their curves, and those that do not
+  // move are hidden at first.
+  const isMany = names.length > COLORS, fold = isMany ? make("details", {}, section) : section;
+  const summary = isMany ? make("summary", {}, fold) : null, chosen = [], legends = new Map();
+  const legendOf = body => {
+    if (!legends.has(body)) {
+      legends.set(body, make("div", {class: "controls"}, fold));
+      if (body) make("strong", {}, legends.get(body), body);
+    }
+    return legends.get(body);
+  };
+  const entries = names.map((name, c) => {
+    const entry = make(isMany ? "button" : "span", isMany ? {type: "button", class: "name"} : {}, legendOf(bodies[c] ?? ""));
     make("span", {style: `color: var(--curve${c % COLORS})`, "aria-hidden": "true"}, entry, "\u2501 ");
     entry.append(`${name} `);
-    return make("output", {}, entry);
+    if (isMany) entry.addEventListener("click", () => {
+      chosen[c] = !isShown(c);
+      plot.draw();
+      plot.show(instant);
+    });
+    return entry;
   });
-  let times = [], curves = [], ghosts = null, marks = [], across = () => LEFT, cursor = null, greatest = 0;
+  const outputs = entries.map(entry => make("output", {}, entry));
+  let times = [], curves = [], ghosts = null, marks = [], across = () => LEFT, cursor = null, greatest = 0, instant = 0;
+  let moves = [];
+  const isShown = c => !isMany || (chosen[c] ?? moves[c]);
   const plot = {
     // Times, values of each curve, and of the run before; events, and the curves that are zero there, or -1.
     set(at, values, before = null, events = []) {
       times = at;
       curves = values;
+      if (isMany) {
+        const least = AT_REST * Math.max(...rangeOf(curves).map(Math.abs));
+        moves = curves.map(curve => rangeOf([curve])).map(([low, high]) => high - low > least);
+        if (!moves.includes(true)) moves.fill(true);
+      }
       ghosts = before;
       marks = events;
     },
@@ -260,14 +292,9 @@ const timePlot = (section, {title, log, names}, seek) => {
       const first = n ? Math.min(times[0], times[n - 1]) : 0, last = n ? Math.max(times[0], times[n - 1]) : 0;
       svg.replaceChildren();
       svg.setAttribute("viewBox", `0 0 ${width} ${TALL}`);
-      let low = Infinity, high = -Infinity;
-      greatest = 0;
-      for (const curve of curves) for (const value of curve) if (Number.isFinite(value)) {
-        low = Math.min(low, value);
-        high = Math.max(high, value);
-        greatest = Math.max(greatest, Math.abs(value));
-      }
+      let [low, high] = rangeOf(curves.filter((_, c) => isShown(c)));
       if (low > high) [low, high] = [0, 1];
+      greatest = Math.max(Math.abs(low), Math.abs(high));
       if (log) { low = Math.floor(low); high = Math.max(Math.ceil(high), low + 1); }
       if (!(high - low > 1e-12 * Math.max(Math.abs(low), Math.abs(high)))) {
         const half = 0.5 * Math.max(1, 1e-9 * Math.abs(low));
@@ -292,19 +319,24 @@ const timePlot = (section, {title, log, names}, seek) => {
         }
         make("polyline", {...style, points: points.join(" ")}, svg);
       };
-      if (ghosts) ghosts.curves.forEach((values, c) =>
+      if (ghosts) ghosts.curves.forEach((values, c) => isShown(c) &&
         line(ghosts.times, values, {class: "curve ghost", style: `stroke: var(--curve${c % COLORS})`}));
-      curves.forEach((values, c) => line(times, values, {class: "curve", style: `stroke: var(--curve${c % COLORS})`}));
+      curves.forEach((values, c) => isShown(c) && line(times, values, {class: "curve", style: `stroke: var(--curve${c % COLORS})`}));
       for (const {t, text, curve} of marks) {
         const mark = make("g", {class: "event"}, svg), x = across(t).toFixed(1);
         make("line", {x1: x, x2: x, y1: TOP, y2: TALL - BOTTOM}, mark);
-        if (curve >= 0) make("circle", {cx: x, cy: up(0), r: 4, style: `stroke: var(--curve${curve % COLORS})`}, mark);
+        if (curve >= 0 && isShown(curve)) make("circle", {cx: x, cy: up(0), r: 4, style: `stroke: var(--curve${curve % COLORS})`}, mark);
         make("title", {}, mark, text);
       }
       cursor = make("line", {class: "cursor", y1: TOP, y2: TALL - BOTTOM}, svg);
+      if (!isMany) return;
+      entries.forEach((entry, c) => entry.setAttribute("aria-pressed", isShown(c)));
+      const hidden = entries.filter((_, c) => !isShown(c)).length;
+      summary.textContent = `${names.length} curves` + (hidden ? `, ${hidden} of them hidden` : "");
     },
     // The cursor at a time of the run.
     show(i) {
+      instant = i;
       if (!cursor || !(i < times.length)) return;
       cursor.setAttribute("x1", across(times[i]));
       cursor.setAttribute("x2", across(times[i]));

@@ -12,6 +12,7 @@ import pytest
 import sympy as sm
 import sympy.physics.mechanics as me
 from builders.systems import pendulum, spatial_four_bar
+from ecosystem.cases import LONG, QUICK
 from harness.programs import complaints
 from sympy.physics.mechanics.system import System
 
@@ -118,6 +119,70 @@ def test_rolling_disc_touches_the_ground_and_turns_with_its_angle(disc):
     assert np.abs(corners[:, 2].min(axis=0) - scene.positions[contact, 2]).max() < 0.26 / 200
     distance = np.linalg.norm(corners - scene.positions[contact], axis=1).min(axis=0)
     assert distance.max() < np.pi / 64 * 0.26 + 0.26 / 200  # half a side of the polygon
+
+
+DRAWN = {
+    "rolling disc, three coordinates": [fb.Disc],  # whose contact point has no coordinates
+    "rolling disc, thick": [fb.Torus],
+    "Whipple bicycle, no wheel angles": [fb.Disc, fb.Disc],  # nor have the wheels and the contact points
+    "Whipple bicycle, upside down": [fb.Wheel, fb.Wheel],
+    "stationary bicycle": [],
+}
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:Points of of_others that are not drawn")
+@pytest.mark.parametrize("name", DRAWN)
+def test_wheels_of_models_of_others_are_found(name):
+    [case] = (case for case in (*QUICK, *LONG) if case.name == name)
+    built = case.build()
+    model = fb.Model(built.system, name="of_others", parameters=dict(built.values), inputs="auto", extra="ignore")
+    compiled = fb.compile_model(model)
+    values = {
+        key: 1.0 if model.parameters[key].value is None else model.parameters[key].value for key in compiled.parameters
+    }
+    states = np.random.default_rng(1).uniform(-0.5, 0.5, (len(compiled.states), 2))
+    run = compiled.trajectory([0.0, 1.0], states, parameters=values, inputs=dict.fromkeys(compiled.inputs, 0.0))
+    found = [type(shape) for of_body in scene_of(run, 2).shapes.values() for shape in of_body]
+    assert [kind for kind in found if kind in (fb.Wheel, fb.Disc, fb.Torus)] == DRAWN[name]
+
+
+def test_disc_on_a_slope_touches_it_and_the_grid_lies_in_it():
+    """The disc of the gallery, whose ground is turned about y."""
+    given = fb.models.rolling_disc().system
+    slope = me.ReferenceFrame("slope")
+    slope.orient_axis(given.frame, given.frame.y, sm.Symbol("tilt"))
+    q, (u1, u2, u3, u4, u5) = [*given.q_ind], me.dynamicsymbols("u1:6")
+    leaning, frame = me.ReferenceFrame("L"), me.ReferenceFrame("D")
+    leaning.orient_body_fixed(slope, (q[0], q[1], 0), "zxy")
+    frame.orient_axis(leaning, leaning.y, q[2])
+    rates, turning = frame.ang_vel_in(given.frame), u1 * frame.x + u2 * frame.y + u3 * frame.z
+    frame.set_ang_vel(given.frame, turning)
+    origin, contact, center = me.Point("O"), me.Point("P"), me.Point("C")
+    origin.set_vel(given.frame, 0)
+    contact.set_pos(origin, q[3] * slope.x + q[4] * slope.y)
+    contact.set_vel(given.frame, u4 * slope.x + u5 * slope.y)
+    center.set_pos(contact, sm.Symbol("r") * leaning.z)
+    center.set_vel(given.frame, turning.cross(sm.Symbol("r") * leaning.z))
+    slip = contact.vel(given.frame) + frame.ang_vel_in(leaning).cross(-sm.Symbol("r") * leaning.z)
+    system = System(given.frame, origin)
+    system.add_bodies(me.RigidBody("disc", center, frame, M, (me.inertia(frame, 1, 2, 1), center)))
+    system.apply_uniform_gravity(-G * given.frame.z)
+    system.q_ind, system.u_ind, system.u_dep = q, [u1, u2, u3], [u4, u5]
+    system.add_kdes(*((rates - turning).dot(axis) for axis in frame))
+    system.add_kdes(q[3].diff() - u4, q[4].diff() - u5)
+    system.add_nonholonomic_constraints(slip.dot(slope.x), slip.dot(slope.y))
+    values = {"g": 9.81, "r": 0.3, "m": 1.0, "tilt": 0.3}
+    model = fb.compile_model(fb.Model(system, name="disc_on_a_slope", parameters=values))
+    assert model.shapes["disc"][0].radius == "r"
+    run = model.simulate((0.0, 0.3), model.initial_state([0.3, 0.2, 0.0, 0.0, 0.0], [0.1, -3.0, 0.1]))
+    scene = scene_of(run, 10)
+    normal = scene.view.turn @ [np.sin(0.3), 0.0, np.cos(0.3)]
+    np.testing.assert_allclose(scene.ground_axes[2], normal, atol=1e-12)
+    [solid] = scene.solids
+    lowest = np.einsum("nit,i->nt", vertices_of(scene, solid), normal).min(axis=0)
+    # The polygon with 64 sides is within 1 - cos(pi / 64) of the circle, 0.12 % of its radius.
+    np.testing.assert_allclose(lowest, 0.0, atol=0.0013 * 0.3)
 
 
 def test_wheels_have_the_radius_that_is_a_parameter(bicycle, disc):

@@ -56,6 +56,8 @@ class Contact:
     radius, tube_radius : float
         The contact point lies a radius from the centre, in the direction of steepest descent in the wheel's plane, and
         then a tube's radius downwards.
+    up : ndarray, shape (3,)
+        The normal of the ground, away from it.
     """
 
     body: int
@@ -64,6 +66,7 @@ class Contact:
     axis: Floats
     radius: float
     tube_radius: float
+    up: Floats
 
 
 @dataclass(frozen=True)
@@ -151,9 +154,9 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     Returns
     -------
     tuple of Contact
-        A contact point is fixed neither on a body nor on the ground. It is where the tangent of a wheel, a circle or a
-        torus about an axis of the body, is horizontal: C - P = R e_r - r n, with the upward normal n, and e_r the
-        direction of -n in the wheel's plane. That holds to 1e-9 of the radius at 20 random states.
+        A contact point is fixed on no body, nor, with the wheel's centre, on the ground. It is where the tangent of a
+        wheel, a circle or a torus about an axis of the body, is horizontal: C - P = R e_r - r n, with the upward normal
+        n, and e_r the direction of -n in the wheel's plane. That holds to 1e-9 of the radius at 20 random states.
 
     Notes
     -----
@@ -165,10 +168,10 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     fixed = {body: states.fixed(body, center) for body, center in states.bodies}
     best: dict[int, tuple[float, Contact]] = {}
     for point in range(len(model.points)):
-        if any(of_body[point] for of_body in fixed.values()) or not states.goes(point):
+        if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
             continue
         for body, center in states.bodies:
-            for up in _upwards(model):
+            for up in _upwards(model, states.points[:, point]):
                 for found, spin in _wheels(states, body, center, point, fixed[body], up):
                     if spin > best.get(point, (0.0, None))[0]:
                         best[point] = spin, found
@@ -178,11 +181,17 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     return tuple(taken.values())
 
 
-def _upwards(model: Kernel) -> list[Floats]:
+def _upwards(model: Kernel, places: Floats) -> list[Floats]:
+    """Normals that the ground may have under a point with places of shape (n_states, 3)."""
     gravity = model.layout.drawing.gravity
-    if gravity is not None:
-        return [-np.array(gravity, dtype=float) / np.linalg.norm(gravity)]
-    return [sign * axis for axis in np.eye(3)[::-1] for sign in (1.0, -1.0)]
+    if gravity is None:
+        level = [sign * axis for axis in np.eye(3)[::-1] for sign in (1.0, -1.0)]
+    else:
+        level = [-np.array(gravity, dtype=float) / np.linalg.norm(gravity)]
+    _, extents, axes = np.linalg.svd(places - places.mean(axis=0))
+    if extents[1] > RTOL * extents[0] >= extents[2]:  # it moves in a plane, such as a slope
+        return [*level, axes[2], -axes[2]]
+    return level
 
 
 def _wheels(
@@ -192,6 +201,8 @@ def _wheels(
     rotations = states.rotations[:, body]
     # The wheel's centre: its mass centre, or another point of the body, which cannot spin as fast as a wheel does.
     for place in (center, *(k for k in np.flatnonzero(fixed).tolist() if k != center)):
+        if not (states.goes(point) or states.goes(place)):
+            continue  # pins on the ground
         way = states.points[:, point] - states.points[:, place]
         local = np.einsum("nji,nj->ni", rotations, way)
         if np.linalg.norm(way, axis=1).min() <= 1e3 * RTOL * states.size:
@@ -212,7 +223,7 @@ def _wheels(
             if radius > 0.0 and error <= RTOL * radius and tube >= -RTOL * radius:
                 spin = float(np.ptp(local, axis=0).max()) * (1.0 if place == center else 1e-3)
                 tube = 0.0 if tube <= RTOL * radius else float(tube)
-                yield Contact(body, place, point, axis, float(radius), tube), spin
+                yield Contact(body, place, point, axis, float(radius), tube, up), spin
                 return
 
 

@@ -65,6 +65,7 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float, *, is_live
         "shown": scene.shown,
         **_solids(scene.solids, scale, is_live),
         "ground": [*scene.contacts],
+        "groundAxes": scene.ground_axes.tolist(),
     }
 
 

@@ -199,6 +199,8 @@ class Scene:
         Of the drawn bodies and of the inertial frame; they take components to the coordinates of the view.
     contacts : tuple of int
         Rows of the points where wheels touch the ground.
+    ground_axes : ndarray, shape (3, 3)
+        Two directions in the ground, and its normal, as rows.
     tips : tuple of int
         Rows of the ends of links that no other link or the ground holds.
     """
@@ -215,6 +217,7 @@ class Scene:
     solids: tuple[Solid, ...] = ()
     rotations: Floats = field(default_factory=lambda: np.zeros((0, 3, 3, 0)))
     contacts: tuple[int, ...] = ()
+    ground_axes: Floats = field(default_factory=lambda: np.eye(3))
     tips: tuple[int, ...] = ()
 
     @property
@@ -393,9 +396,18 @@ def scene(
         return found
     tips = tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1)
     touching = tuple(contact.point for contact in on_ground)
-    found = replace(found, contacts=touching, tips=tips)
+    axes = _level(view.turn @ on_ground[0].up) if on_ground else np.eye(3)
+    found = replace(found, contacts=touching, ground_axes=axes, tips=tips)
     bodies_of = found_shapes(model, p, states, longest, on_ground, _edges(model, positions, size))
     return _with_bodies(found, model, p, rotations, bodies_of, given or {})
+
+
+def _level(normal: Floats) -> Floats:
+    """Axes whose third one is a normal, and whose first one is as near to x as can be, or to y."""
+    first = np.eye(3)[0 if abs(normal[0]) < 0.9 else 1]
+    along = first - (first @ normal) * normal
+    along /= np.linalg.norm(along)
+    return np.array([along, np.cross(normal, along), normal])
 
 
 def _edges(model: Kernel, positions: Floats, size: float) -> list[tuple[str, float, str, str]]:

@@ -47,11 +47,15 @@ CAMERA = _camera()
 
 def seen_obliquely(drawn: Scene) -> Scene:
     """A scene in space as it is seen from above the side, in a plane whose third coordinate is the depth."""
+    return replace(_along(drawn, CAMERA), view=replace(drawn.view, turn=CAMERA @ drawn.view.turn, is_planar=True))
+
+
+def _along(drawn: Scene, axes: Floats) -> Scene:
+    """A scene in coordinates along other axes, the rows of a matrix."""
     return replace(
         drawn,
-        positions=np.einsum("ij,njt->nit", CAMERA, drawn.positions),
-        rotations=np.einsum("ij,bjkt->bikt", CAMERA, drawn.rotations),
-        view=replace(drawn.view, turn=CAMERA @ drawn.view.turn, is_planar=True),
+        positions=np.einsum("ij,njt->nit", axes, drawn.positions),
+        rotations=np.einsum("ij,bjkt->bikt", axes, drawn.rotations),
     )
 
 
@@ -75,16 +79,17 @@ class Stroke:
 
 def ground(drawn: Scene) -> list[Stroke]:
     """A grid in the plane where wheels touch the ground, under all that is shown, of a scene in space."""
-    heights = drawn.positions[list(drawn.contacts), 2, 0]
+    axes = drawn.ground_axes
+    heights = drawn.positions[list(drawn.contacts), :, 0] @ axes[2]
     heights = heights[np.isfinite(heights)]
     if not heights.size:
         return []
-    lows, highs = drawn.limits()
+    lows, highs = _along(drawn, axes).limits()
     low, high = np.fmin.reduce(lows, axis=1), np.fmax.reduce(highs, axis=1)
     step, z = float((high - low)[:2].max()) / LINES, heights.min()
     x, y = (np.arange(np.floor(low[k] / step), np.ceil(high[k] / step) + 1.0) * step for k in range(2))
     lines = [[(at, y[0], z), (at, y[-1], z)] for at in x] + [[(x[0], at, z), (x[-1], at, z)] for at in y]
-    return [Stroke(CAMERA @ np.transpose(ends), "0.85", 0.8) for ends in lines]
+    return [Stroke(CAMERA @ axes.T @ np.transpose(ends), "0.85", 0.8) for ends in lines]
 
 
 def _faces(drawn: Scene, reader: Floats, up: Floats, light: Floats) -> Callable[[int], tuple[Floats, Floats]]:

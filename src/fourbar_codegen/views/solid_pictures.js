@@ -367,18 +367,21 @@ const solidPicture = (gl, scene) => {
   // Pixels of the page for a unit of length.
   const scaleNow = () => zoom * MARGIN * Math.min(canvas.clientWidth / span[0], canvas.clientHeight / span[1]);
 
-  const makeGrid = ([least, most]) => {
+  // A grid in the ground, whose axes are two directions in it and its normal.
+  const makeGrid = () => {
     if (grid) renderer.free(grid);
     grid = null;
-    const heights = scene.ground.map(k => at(0, k)[2]).filter(Number.isFinite);
+    const toInertial = scene.groundAxes.flat(), toGround = transposed(toInertial);
+    const heights = scene.ground.map(k => times3(toGround, at(0, k))[2]).filter(Number.isFinite);
     if (!heights.length) return;
     // Fine enough to see the motion, but with not too many lines under a long run.
+    const [least, most] = boundsOf(every.map(a => times3(toGround, a)));
     const z = Math.min(...heights), room = 0.6 * radius, step = ticksBetween(0, Math.max(2 * radius, whole / 10), 8)[1] ?? 1;
     const [x0, y0] = least.map(value => Math.floor((value - room) / step) * step);
     const [x1, y1] = most.map(value => Math.ceil((value + room) / step) * step);
     const points = [], gap = [NaN, NaN, NaN];
-    for (let x = x0; x < x1 + step / 2; x += step) points.push([x, y0, z], [x, y1, z], gap);
-    for (let y = y0; y < y1 + step / 2; y += step) points.push([x0, y, z], [x1, y, z], gap);
+    for (let x = x0; x < x1 + step / 2; x += step) points.push(...[[x, y0, z], [x, y1, z]].map(a => times3(toInertial, a)), gap);
+    for (let y = y0; y < y1 + step / 2; y += step) points.push(...[[x0, y, z], [x1, y, z]].map(a => times3(toInertial, a)), gap);
     grid = renderer.line(points);
   };
   const drawTrace = k => {
@@ -457,7 +460,7 @@ const solidPicture = (gl, scene) => {
       const home = matrixOf(HOME), windows = (follows ? atOnce : [every]).map(places => boundsOf(places.map(a => times3(home, a))));
       span = [0, 1].map(j => Math.max(...windows.map(([a, b]) => b[j] - a[j]).filter(Number.isFinite), 1e-3 * radius));
       middleSeen = [0, 1, 2].map(j => (windows[0][0][j] + windows[0][1][j]) / 2);
-      makeGrid(bounds);
+      makeGrid();
     },
     travels() {
       return moving.length > 1 && diagonalOf(boundsOf(atOnce.flat())) > FAR * radius;

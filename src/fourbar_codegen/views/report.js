@@ -14,18 +14,21 @@ const rotations = floats(data.rotations), turns = rotations.length / 4 / times.l
 picture.set(positions, positions.length / 3 / times.length, null,
   (i, k) => turnOf(rotations.subarray(4 * (i * turns + k), 4 * (i * turns + k + 1))));
 followBox(byId("follow"), picture);
-if (data.longest > 0) {
-  make("p", {}, byId("mechanism").parentElement, `Arrows are forces of inputs; the longest is ${numberText(data.longest)} N.`);
-}
-traceBoxes(byId("traces"), data.scene.points, picture);
+let plots = [], width = 0;
+const controls = player(i => {
+  picture.draw(i);
+  for (const plot of plots) plot.show(i);
+});
+controls.set(times);
+const drawPlots = () => {
+  if (byId("plots").clientWidth === width) return;
+  width = byId("plots").clientWidth;
+  for (const plot of plots) plot.draw();
+  controls.show(controls.shown());
+};
+addEventListener("resize", drawPlots);
 
-for (const [name, value] of data.table) {
-  const row = make("tr", {}, byId("settings"));
-  make("th", {scope: "row"}, row, name);
-  make("td", {}, row, value);
-}
-
-const plots = data.plots.map(({title, log, open, bodies, curves}) => {
+const plotOf = ({title, log, open, bodies, curves}) => {
   const details = make("details", {}, byId("plots"));
   make("summary", {}, details, title);
   details.open = open;
@@ -36,24 +39,24 @@ const plots = data.plots.map(({title, log, open, bodies, curves}) => {
     plot.show(controls.shown());
   });
   return plot;
-});
-const controls = player(i => {
-  picture.draw(i);
-  for (const plot of plots) plot.show(i);
-});
-controls.set(times);
-let width = 0;
-const drawPlots = () => {
-  if (byId("plots").clientWidth === width) return;
-  width = byId("plots").clientWidth;
-  for (const plot of plots) plot.draw();
-  controls.show(controls.shown());
 };
-addEventListener("resize", drawPlots);
+const fillPage = () => {
+  if (data.longest > 0) {
+    make("p", {}, byId("mechanism").parentElement, `Arrows are forces of inputs; the longest is ${numberText(data.longest)} N.`);
+  }
+  traceBoxes(byId("traces"), data.scene.points, picture);
+  for (const [name, value] of data.table) {
+    const row = make("tr", {}, byId("settings"));
+    make("th", {scope: "row"}, row, name);
+    make("td", {}, row, value);
+  }
+  plots = data.plots.map(plotOf);
+  drawPlots();
+};
 if (data.scene.solids.length) { // bodies take longer to draw, and people look at them first
   controls.show(0);
   requestAnimationFrame(() => setTimeout(() => {
     performance.mark("first picture");
-    drawPlots();
+    fillPage();
   }));
-} else drawPlots();
+} else fillPage();

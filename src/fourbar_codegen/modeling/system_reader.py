@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import count
 from typing import Any, Literal
@@ -225,11 +225,11 @@ def _drawn_lines(
         yield Shape("line", "", tuple(names[end] if isinstance(end, str) else numbers[end] for end in line))
 
 
-def _distinct(name: str, earlier: Collection[str], taken: set[str]) -> str:
-    """A name, with a number appended if an earlier point has it."""
-    if name in earlier and name:
-        name = next(other for number in count(2) if (other := f"{name} ({number})") not in taken)
-        taken.add(name)
+def _distinct(name: str, earlier: set[str], taken: set[str]) -> str:
+    """A name, with a number appended if an earlier point has it and others may not take it."""
+    if name and name in earlier:
+        name = next(other for number in count(2) if (other := f"{name} ({number})") not in earlier | taken)
+    earlier.add(name)
     return name
 
 
@@ -516,7 +516,7 @@ class _Reader:
         numbers: dict[me.Point, int] = {}
         points: list[DrawnPoint] = []
         left_out = []
-        taken = {point.name for point in parents}
+        taken, earlier = {point.name for point in parents}, set[str]()
         for point, parent in parents.items():
             offset: Vector = ()
             if point is not root:
@@ -532,7 +532,7 @@ class _Reader:
             numbers[point] = len(points)
             before = None if point is root else numbers[parent]
             number = self.point_numbers.get(point)
-            name = _distinct(point.name, [other.name for other in points], taken)
+            name = _distinct(point.name, earlier, taken)
             points.append(DrawnPoint(name, before, offset, names.get(point), number, point in on_the_way))
         return tuple(points), numbers, tuple(left_out)
 

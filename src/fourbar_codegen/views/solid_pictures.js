@@ -318,7 +318,8 @@ const solidPicture = (gl, scene) => {
   const drawn = [...new Set([...scene.shown, ...solids.flatMap(({row, to}) => to === null ? [row] : [row, to]),
     ...scene.arrows.flat()])];
   let look = HOME, zoom = 1, pan = [0, 0], positions = new Float32Array(0), turnAt = () => [], n = 0, m = 0;
-  let sizes = {}, before = null, moving = [], moves = new Set(), follows = false, shown = 0, grid = null;
+  let sizes = {}, before = null, follows = false, shown = 0, grid = null;
+  let moving = [], moves = new Set(), turning = new Set(); // rows, and rotations
   // Places at some instants, and of what moves at each of these; bounds of all; the size of what moves at one instant, and
   // of all; sizes on the screen, and what is in the middle of it.
   let every = [], atOnce = [], bounds = [[], []], radius = 1, whole = 1, span = [1, 1], middleSeen = [0, 0, 0];
@@ -357,8 +358,10 @@ const solidPicture = (gl, scene) => {
   };
   // All points that are drawn, or those that move, and the corners of the solids there, at an instant.
   const placesOf = (i, all) => [...(all ? drawn : moving).map(k => at(i, k)), ...solids.flatMap(solid => {
-    const found = all || moves.has(solid.row) || solid.to !== null && moves.has(solid.to) ? placedAt(i, solid) : null;
-    return found ? renderer.corners(solid.mesh).map(corner => times3(found[1], corner).map((value, j) => found[0][j] + value)) : [];
+    const found = all || moves.has(solid.row) || moves.has(solid.to) || turning.has(solid.turn) ? placedAt(i, solid) : null;
+    if (!found) return [];
+    const [place, matrix] = found;
+    return renderer.corners(solid.mesh).map(corner => times3(matrix, corner).map((value, j) => place[j] + value));
   })];
   const some = most => {
     const count = Math.min(n, most), last = Math.max(1, count - 1);
@@ -380,9 +383,9 @@ const solidPicture = (gl, scene) => {
     const [x0, y0] = least.map(value => Math.floor((value - room) / step) * step);
     const [x1, y1] = most.map(value => Math.ceil((value + room) / step) * step);
     const points = [], gap = [NaN, NaN, NaN];
-    for (let x = x0; x < x1 + step / 2; x += step) points.push(...[[x, y0, z], [x, y1, z]].map(a => times3(toInertial, a)), gap);
-    for (let y = y0; y < y1 + step / 2; y += step) points.push(...[[x0, y, z], [x1, y, z]].map(a => times3(toInertial, a)), gap);
-    grid = renderer.line(points);
+    for (let x = x0; x < x1 + step / 2; x += step) points.push([x, y0, z], [x, y1, z], gap);
+    for (let y = y0; y < y1 + step / 2; y += step) points.push([x0, y, z], [x1, y, z], gap);
+    grid = renderer.line(points.map(a => times3(toInertial, a)));
   };
   const drawTrace = k => {
     const trace = traces.get(k);
@@ -447,7 +450,12 @@ const solidPicture = (gl, scene) => {
         return false;
       });
       moves = new Set(moving);
-      atOnce = some(12).map(i => placesOf(i, false));
+      const instants = some(12);
+      turning = new Set(solids.map(({turn}) => turn).filter(turn => turn !== null && instants.some(i => {
+        const first = turnAt(0, turn);
+        return turnAt(i, turn).some((entry, j) => Math.abs(entry - first[j]) > STILL);
+      })));
+      atOnce = instants.map(i => placesOf(i, false));
       every = [...n ? placesOf(0, true) : [], ...some(60).flatMap(i => moving.map(k => at(i, k))), ...atOnce.flat()];
       bounds = boundsOf(every);
       whole = diagonalOf(bounds) || 1;

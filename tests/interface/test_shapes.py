@@ -622,6 +622,22 @@ def test_changes_by_parameters_are_those_between_two_sizes(bicycle, shape):
 
 
 @pytest.mark.slow
+def test_traces_of_many_points_are_grouped_by_body(browser, tmp_path):
+    chain, page = fb.compile_model(fb.models.chain(9)), browser.new_page()
+    page.goto(chain.simulate((0.0, 1.0)).save(tmp_path / "run.html").as_uri())
+    traced = page.locator("#traces input:checked").count()
+    page.locator("details.few summary").click()
+    of_frame = page.locator("#traces div", has_text="bar3").locator("input")
+    assert of_frame.count() > 1
+    assert page.locator("#traces input").count() == len(chain.points)
+    for on in (True, False):
+        page.get_by_role("button", name="Traces of bar3").click()
+        assert of_frame.evaluate_all("boxes => boxes.map(box => box.checked)") == [on] * of_frame.count()
+    assert 0 < page.locator("#traces input:checked").count() < traced
+    page.close()
+
+
+@pytest.mark.slow
 def test_shapes_of_a_live_page_follow_parameters(browser, tmp_path):
     """After a slider has moved, the picture is that of a page that begins with its value."""
     shapes = {"disc": [fb.Torus("r", 0.1), fb.Box("r", 0.4, "r", at=("r", 0.0, 0.0), color="red")]}

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fourbar_codegen.body_shapes import BodyShape, Box, Disc, Line, Sphere, Torus, Wheel
 from fourbar_codegen.kernel.kernel import Kernel
 
-__all__ = ["Contact", "States", "contacts", "found_shapes", "parts_of", "random_states"]
+__all__ = ["Contact", "States", "bodies_of_points", "contacts", "found_shapes", "parts_of", "random_states"]
 
 Floats = NDArray[np.float64]
 
@@ -141,6 +141,15 @@ def random_states(model: Kernel, p: Floats) -> States:
     placed = points[:, np.isfinite(points).all(axis=(0, 2))]
     size = float(np.ptp(placed, axis=1).max(initial=0.0)) or 1.0 if placed.size else 1.0
     return States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
+
+
+def bodies_of_points(model: Kernel, states: States) -> tuple[str, ...]:
+    """For each point with a name, the body that it is fixed on; of joints the first one; empty for others."""
+    found = [""] * len(model.points)
+    for body, center in states.bodies if len(states.points) > 1 else ():
+        for point in np.flatnonzero(states.fixed(body, center)[: len(found)]):
+            found[point] = found[point] or model.layout.drawing.bodies[body]
+    return tuple(found)
 
 
 def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:

@@ -19,7 +19,7 @@ from fourbar_codegen.errors import ModelError, ModelWarning, shown
 from fourbar_codegen.interface.arguments import listed
 from fourbar_codegen.kernel.kernel import Kernel
 from fourbar_codegen.layout import Point, Shape
-from fourbar_codegen.views.found_shapes import contacts, found_shapes, parts_of, random_states
+from fourbar_codegen.views.found_shapes import bodies_of_points, contacts, found_shapes, parts_of, random_states
 from fourbar_codegen.views.solids import Solid, solids_of
 
 __all__ = ["Line", "Scene", "Symbol", "View", "extent", "known_points", "scene", "view_of"]
@@ -203,6 +203,8 @@ class Scene:
         Two directions in the ground, and its normal, as rows.
     tips : tuple of int
         Rows of the ends of links that no other link or the ground holds.
+    holders : tuple of str
+        For each of `names` the body that holds it; empty if there is none.
     """
 
     names: tuple[str, ...]
@@ -219,6 +221,7 @@ class Scene:
     contacts: tuple[int, ...] = ()
     ground_axes: Floats = field(default_factory=lambda: np.eye(3))
     tips: tuple[int, ...] = ()
+    holders: tuple[str, ...] = ()
 
     @property
     def is_planar(self) -> bool:
@@ -391,7 +394,8 @@ def scene(
     still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry.body for entry in entries[: len(model.points)])
-    found = Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit)
+    held = () if states is None else bodies_of_points(model, states)
+    found = Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit, holders=held)
     if view.is_planar or rotations is None or p is None or states is None:
         return found
     tips = tuple(point for point, numbers in holders.items() if len(numbers & jointed) == 1)

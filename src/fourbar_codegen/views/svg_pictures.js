@@ -428,14 +428,31 @@ const followBox = (box, picture) => {
   box.addEventListener("change", () => picture.follow(box.checked));
 };
 
-// A box for each point, that shows and hides its trace; many are folded.
+// A box for each point, that shows and hides its trace; many are folded, and stand behind the name of their body, which
+// checks all of them or none.
 const FEW_POINTS = 12;
 const traceBoxes = (parent, points, picture, changed = () => {}) => {
-  const fold = parent.closest("details");
-  if (fold?.classList.contains("few")) fold.open = points.length <= FEW_POINTS;
-  return points.map(({name, traced}, k) => {
-    const label = make("label", {}, parent), box = make("input", {type: "checkbox"}, label);
+  const fold = parent.closest("details"), isMany = points.length > FEW_POINTS, groups = new Map();
+  if (fold?.classList.contains("few")) fold.open = !isMany;
+  if (isMany && points.some(({holder}) => !holder)) groups.set("", {place: make("div", {class: "controls"}, parent), boxes: []});
+  const groupOf = holder => {
+    if (!isMany) return {place: parent, boxes: []};
+    if (!groups.has(holder)) {
+      const place = make("div", {class: "controls"}, parent), boxes = [];
+      make("strong", {}, make("button", {type: "button", class: "name", "aria-label": `Traces of ${holder}`}, place), holder).parentElement
+        .addEventListener("click", () => {
+          const on = !boxes.every(({checked}) => checked);
+          for (const box of boxes) if (box.checked !== on) box.click();
+        });
+      groups.set(holder, {place, boxes});
+    }
+    return groups.get(holder);
+  };
+  return points.map(({name, traced, holder}, k) => {
+    const {place, boxes} = groupOf(holder), label = make("label", {}, place);
+    const box = make("input", {type: "checkbox"}, label);
     label.append(` ${name}`);
+    boxes.push(box);
     box.checked = traced;
     picture.trace(k, traced);
     box.addEventListener("change", () => { picture.trace(k, box.checked); changed(); });

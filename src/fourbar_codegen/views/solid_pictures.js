@@ -414,7 +414,10 @@ const solidPicture = (gl, scene) => {
     const middle = times3(matrix, about).map((value, j) => value - (pan[j] ?? 0));
     renderer.see({canvas, page: colors.page, matrix, middle, pixels: scaleNow(), depth: 2 * (whole + 4 * radius)});
     if (!n) return;
+    gl.enable(gl.POLYGON_OFFSET_FILL); // under traces in the same plane
+    gl.polygonOffset(1, 4);
     renderer.drawLine(grid, colors.faint, 1);
+    gl.disable(gl.POLYGON_OFFSET_FILL);
     for (const {line, ghost} of traces.values()) {
       renderer.drawLine(ghost, colors.soft, 1, 0.7);
       renderer.drawLine(line, colors.accent, 2);

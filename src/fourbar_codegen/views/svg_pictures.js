@@ -251,7 +251,7 @@ const timePlot = (section, {title, log, names, bodies}, seek) => {
   // Many names are folded, so that plots stay close together. A click hides and shows their curves, and those that do not
   // move are hidden at first.
   const isMany = names.length > COLORS, fold = isMany ? make("details", {}, section) : section;
-  const summary = isMany ? make("summary", {}, fold) : null, chosen = [], legends = new Map();
+  const summary = isMany ? make("summary", {}, fold, `${names.length} curves`) : null, chosen = [], legends = new Map();
   const legendOf = body => {
     if (!legends.has(body)) {
       legends.set(body, make("div", {class: "controls"}, fold));

@@ -7,8 +7,8 @@ from its mass centre.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields, replace
 from typing import Any, ClassVar
 
 from fourbar_codegen.errors import ModelError, shown
@@ -33,6 +33,8 @@ __all__ = [
     "Wheel",
     "check_names",
     "data_of",
+    "is_of_pydy",
+    "made_from",
     "named_shapes",
     "shapes_of",
 ]
@@ -262,6 +264,46 @@ KINDS: dict[str, type[BodyShape]] = {
 """All shapes by their names."""
 
 
+THIN = 1e-3
+"""Thickness of circles and planes of pydy, m."""
+
+MADE_FROM: dict[str, Callable[[Any], BodyShape]] = {
+    "Box": lambda shape: Box(shape.width, shape.height, shape.depth),
+    "Circle": lambda shape: Disc(shape.radius, THIN),
+    "Cone": lambda shape: Cone(shape.radius, shape.length, axis=(0.0, 1.0, 0.0)),
+    "Cube": lambda shape: Box(shape.length, shape.length, shape.length),
+    "Cylinder": lambda shape: Cylinder(shape.radius, shape.length, axis=(0.0, 1.0, 0.0)),
+    "Plane": lambda shape: Box(shape.width, shape.length, THIN),
+    "Sphere": lambda shape: Sphere(shape.radius),
+    "Torus": lambda shape: Torus(shape.radius, shape.tube_radius),
+}
+"""Shapes from those of `pydy.viz <https://pydy.readthedocs.io/en/stable/viz/index.html>`_ by the names of these;
+cylinders and cones are along y."""
+
+
+def is_of_pydy(value: Any) -> bool:
+    """Whether it is an object of pydy.viz, which need not be installed."""
+    return any(base.__module__.startswith("pydy.viz") for base in type(value).__mro__)
+
+
+def made_from(shape: Any) -> BodyShape:
+    """The shape like one of pydy.viz.
+
+    Raises
+    ------
+    ModelError
+        If there is none.
+    """
+    kind = type(shape).__name__
+    if kind not in MADE_FROM:
+        raise ModelError(
+            f"There is no shape like the {kind} of pydy.viz; there are {', '.join(MADE_FROM)}. Others are meshes: "
+            'Mesh("part.stl").'
+        )
+    made = MADE_FROM[kind](shape)
+    return replace(made, color=shape.color if shape.color in COLORS else "")
+
+
 def data_of(shapes: Mapping[str, Sequence[BodyShape]]) -> dict[str, list[dict[str, Any]]]:
     """Shapes by names of bodies as data that JSON can hold."""
     return {name: [shape.as_data() for shape in of_body] for name, of_body in shapes.items()}
@@ -286,7 +328,8 @@ def named_shapes(given: Any, names: Collection[str]) -> dict[str, tuple[BodyShap
         )
     found: dict[str, tuple[BodyShape, ...]] = {}
     for name, shape in named(given, names, "body or frame").items():
-        of_body = tuple(shape) if isinstance(shape, list | tuple) else (shape,)
+        several = shape if isinstance(shape, list | tuple) else [shape]
+        of_body = tuple(made_from(each) if is_of_pydy(each) else each for each in several)
         for each in of_body:
             if not isinstance(each, BodyShape):
                 raise ModelError(f"The shape of {name} is one of {', '.join(KINDS)}, not {shown(each)}.")

@@ -104,6 +104,8 @@ def test_shapes_of_pydy_are_where_pydy_places_them():
 def test_shapes_of_pydy_have_its_sizes_along_x_y_and_z(shape, sizes):
     pendulum = DoublePendulum()
     model = fb.compile_model(pendulum.model({"upper": shape}))
+    model.shapes = {"lower": [shape], "upper": shape}
+    assert model.shapes["lower"] == model.shapes["upper"]
     assert model.shapes["upper"][0].color == "grey"
     values = np.array([VALUES[name] for name in model.parameters])
     [solid] = solids_of(model, {"upper": model.shapes["upper"]}, values, np.zeros((0, 3, 1)))

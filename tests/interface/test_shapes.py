@@ -217,6 +217,28 @@ def test_coordinates_and_speeds_belong_to_the_bodies_that_they_move(bicycle):
     assert moved_bodies(bicycle.kernel, parameter_array(bicycle.kernel, None)) == expected
 
 
+def test_cart_under_the_pivot_of_its_pole_is_no_contact_point():
+    (x, angle, v, w), height = me.dynamicsymbols("x angle v w"), sm.Symbol("h")
+    ground, frame, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
+    frame.orient_axis(ground, ground.y, angle)
+    frame.set_ang_vel(ground, w * ground.y)
+    origin.set_vel(ground, 0)
+    cart = origin.locatenew("cart_point", x * ground.x)
+    pivot = cart.locatenew("pivot", height * ground.z)
+    center = pivot.locatenew("center", L * frame.x)
+    for point in (cart, pivot):
+        point.set_vel(ground, v * ground.x)
+    center.v2pt_theory(pivot, ground, frame)
+    system = System(ground, origin)
+    pole = me.RigidBody("pole", center, frame, M, (me.inertia(frame, 0.1, 0.1, 0.1), center))
+    system.add_bodies(me.Particle("cart", cart, M), pole)
+    system.q_ind, system.u_ind = [x, angle], [v, w]
+    system.add_kdes(v - x.diff(), w - angle.diff())
+    system.apply_uniform_gravity(-G * ground.z)
+    model = fb.compile_model(fb.Model(system, name="post", parameters={"m": 1.0, "g": 9.81, "l": 0.5, "h": 0.3}))
+    assert [type(shape) for shape in model.shapes["pole"]] == [fb.Line]
+
+
 def test_modes_and_branches_in_space_are_drawn_with_bodies():
     """And a pin on the ground is no contact of a wheel, though it is at a fixed place beside another one."""
     model = fb.compile_model(spatial_four_bar())

@@ -163,9 +163,10 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     Returns
     -------
     tuple of Contact
-        A contact point is fixed on no body, nor, with the wheel's centre, on the ground. It is where the tangent of a
-        wheel, a circle or a torus about an axis of the body, is horizontal: C - P = R e_r - r n, with the upward normal
-        n, and e_r the direction of -n in the wheel's plane. That holds to 1e-9 of the radius at 20 random states.
+        A contact point is no mass centre, and fixed on no body, nor, with the wheel's centre, on the ground. It is
+        where the tangent of a wheel, a circle or a torus about an axis of the body, is horizontal: C - P = R e_r - r n,
+        with the upward normal n, and e_r the direction of -n in the wheel's plane. That holds to 1e-9 of the radius at
+        20 random states.
 
     Notes
     -----
@@ -176,7 +177,9 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
         return ()
     fixed = {body: states.fixed(body, center) for body, center in states.bodies}
     best: dict[int, tuple[float, Contact]] = {}
-    for point in range(len(model.points)):
+    for point, entry in enumerate(model.layout.drawing.points[: len(model.points)]):
+        if entry.body is not None:
+            continue  # a mass, such as a cart under the pivot of its pole
         if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
             continue
         for body, center in states.bodies:

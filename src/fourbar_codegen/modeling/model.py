@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import keyword
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -378,7 +379,11 @@ class Model:
     def _read_shapes(self, seen: Visualization) -> dict[str, tuple[BodyShape, ...]]:
         """Shapes by names of bodies, or of frames that are not those of a body."""
         bodies, frames = self.mechanism.bodies, self.mechanism.frames
-        of_frame = {frames[body.frame].name: body.name for body in reversed(bodies) if body.frame is not None}
+        # The inertial frame and those that several bodies have belong to none of these.
+        users = Counter(body.frame for body in bodies)
+        of_frame = {frames[body.frame].name: body.name for body in bodies if body.frame and users[body.frame] == 1}
+        ground = next((shape.name for shape in self.mechanism.shapes if shape.kind == "ground"), frames[0].name)
+        of_frame[frames[0].name] = ground
         names = dict.fromkeys([*(body.name for body in bodies), *(frame.name for frame in frames)])
         found: dict[str, tuple[BodyShape, ...]] = {}
         shapes = {**seen.shapes}

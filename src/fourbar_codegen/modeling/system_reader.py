@@ -106,6 +106,7 @@ def read_mechanism(
     drawn, of_points, not_drawn = reader.drawn(description.bodies, named, known)
     for frame in seen.frames:
         reader.number(frame, "shapes")
+    _check_frames(seen.frames, list(reader.numbers), description.bodies)
     frames = reader.frames()
     pathways = tuple(_pathways(description.actuators, of_points))
     tips, shapes = find_shapes(frames, drawn, bodies, pathways)
@@ -137,15 +138,26 @@ def read_mechanism(
 
 
 def _owner(placed: Placed, description: _Description) -> str:
-    """The name of the body that a shape belongs to, or else of its frame."""
-    for body in description.bodies:
-        if isinstance(body, me.RigidBody):
-            is_of_body = placed.frame is body.frame
-        else:
-            is_of_body = placed.frame is description.frame and placed.point is body.masscenter
-        if is_of_body:
+    """The name of the body that a shape belongs to: its own mass centre is there, or it alone has the frame."""
+    of_frame = [body for body in description.bodies if getattr(body, "frame", description.frame) is placed.frame]
+    for body in of_frame:
+        if placed.point is body.masscenter:
             return str(body.name)
-    return str(placed.frame.name)
+    is_alone = len(of_frame) == 1 and placed.frame is not description.frame
+    return str(of_frame[0].name if is_alone else placed.frame.name)
+
+
+def _check_frames(
+    given: Iterable[me.ReferenceFrame], frames: Sequence[me.ReferenceFrame], bodies: Iterable[Any]
+) -> None:
+    """Shapes are told apart by the names of frames and bodies."""
+    for frame in given:
+        others = [other.name for other in frames if other is not frame]
+        others += [body.name for body in bodies if getattr(body, "frame", None) is not frame]
+        if frame.name in others:
+            raise ModelError(
+                f"A frame with a shape is called {frame.name}, as another frame or body is: give it another name."
+            )
 
 
 SIMPLE = (sm.Add, sm.Mul, sm.Pow, sm.NumberSymbol, sm.sin, sm.cos, sm.tan, sm.asin, sm.acos, sm.atan, sm.atan2)

@@ -39,6 +39,9 @@ LONGER = 1.1
 THIN = 0.03
 """Least thickness of boxes and discs, relative to their size."""
 
+SAMPLES, STEP, ROLLING = 3, 1e-4, 1e-6
+"""States at which rolling is looked at, by central differences with this step and this relative error."""
+
 CORRECTIONS = 8
 """Of invariants, such as the norms of quaternions, by Newton's method."""
 
@@ -83,12 +86,20 @@ class States:
         For each of these, the number of its mass centre; None where it is not drawn, or two bodies have one name.
     size : float
         The largest distance of two points along an axis, m.
+    t : ndarray, shape (n_states,)
+    x, r : ndarray, shape (n_x, n_states) and (n_r, n_states)
+    p : ndarray, shape (n_p,)
+        Times, states, inputs and parameters.
     """
 
     points: Floats
     rotations: Floats
     centers: tuple[int | None, ...]
     size: float
+    t: Floats
+    x: Floats
+    r: Floats
+    p: Floats
 
     def local(self, body: int, center: int) -> Floats:
         """The points along a body's axes, from one of them, (n_states, n_points, 3)."""
@@ -108,6 +119,14 @@ class States:
             and np.isfinite(self.points[:, center]).all()
             and np.isfinite(self.rotations[:, body]).all()
         ]
+
+    def axis(self, body: int) -> Floats | None:
+        """The axis, in the body, that keeps its direction in the inertial frame; zero if all do, None if none does."""
+        changes = (self.rotations[:, body] - self.rotations[0, body]).reshape(-1, 3)
+        _, extents, axes = np.linalg.svd(changes)
+        if extents[2] > RTOL:
+            return None
+        return np.asarray(axes[2] if extents[1] > RTOL else np.zeros(3))
 
     def goes(self, point: int) -> bool:
         """Whether a point's place is known and changes."""
@@ -140,7 +159,8 @@ def random_states(model: Kernel, p: Floats) -> States:
     of = {body: number for number, body in enumerate(bodies) if body and bodies.count(body) == 1}
     placed = points[:, np.isfinite(points).all(axis=(0, 2))]
     size = float(np.ptp(placed, axis=1).max(initial=0.0)) or 1.0 if placed.size else 1.0
-    return States(points, rotations, tuple(map(of.get, model.layout.drawing.bodies)), size)
+    centers = tuple(map(of.get, model.layout.drawing.bodies))
+    return States(points, rotations, centers, size, times[known], x[:, known], r[:, known], p)
 
 
 def bodies_of_points(model: Kernel, states: States) -> tuple[str, ...]:
@@ -183,8 +203,13 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
         if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
             continue
         for body, center in states.bodies:
-            for up in _upwards(model, states.points[:, point]):
-                for found, spin in _wheels(states, body, center, point, fixed[body], up):
+            axis = states.axis(body)
+            if axis is not None and not axis.any():
+                continue
+            for up in _upwards(model, states, body, point, axis):
+                for found, spin in _wheels(states, body, center, point, fixed[body], up, axis):
+                    if axis is not None and not _rolls(model, states, found):
+                        continue
                     if spin > best.get(point, (0.0, None))[0]:
                         best[point] = spin, found
     taken: dict[int, Contact] = {}
@@ -193,9 +218,36 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     return tuple(taken.values())
 
 
-def _upwards(model: Kernel, places: Floats) -> list[Floats]:
-    """Normals that the ground may have under a point with places of shape (n_states, 3)."""
-    gravity = model.layout.drawing.gravity
+def _rolls(model: Kernel, states: States, wheel: Contact) -> bool:
+    """Whether the material point of a wheel at its contact point is at rest in all motions that constraints allow.
+
+    Of wheels that never lean, since points at a constant distance below an axle are not only contact points. Velocities
+    are central differences along q' = K u with J u = 0.
+    """
+    moved = False
+    for k in range(min(SAMPLES, len(states.t))):
+        t, x, r = states.t[k], states.x[:, k], states.r[:, k]
+        jacobian = model.velocity(t, x, states.p, r)[0] if model.n_c else np.zeros((1, model.n_u))
+        _, extents, directions = np.linalg.svd(jacobian)
+        for direction in directions[np.count_nonzero(extents > RTOL * extents.max()) :]:
+            change = model.coordinate_change(t, x, direction, states.p, r)
+            near = np.repeat(x[:, np.newaxis], 2, axis=1)
+            near[: model.n_q] += STEP * change[:, np.newaxis] * (-1.0, 1.0)
+            columns = np.full(2, t), near, np.repeat(r[:, np.newaxis], 2, axis=1), states.p
+            center = np.diff(model.drawing_along(*columns)[0][wheel.center])[:, 0] / (2.0 * STEP)
+            turning = np.diff(model.orientations_along(*columns)[wheel.body])[..., 0] / (2.0 * STEP)
+            arm = states.points[k, wheel.point] - states.points[k, wheel.center]
+            around = turning @ states.rotations[k, wheel.body].T @ arm  # omega x (P - C)
+            speed = max(np.abs(center).max(), np.abs(around).max())
+            if np.abs(center + around).max() > ROLLING * max(speed, states.size):
+                return False
+            moved |= bool(speed > ROLLING * states.size)
+    return moved
+
+
+def _upwards(model: Kernel, states: States, body: int, point: int, axis: Floats | None) -> list[Floats]:
+    """Normals that the ground may have under a point."""
+    places, gravity = states.points[:, point], model.layout.drawing.gravity
     if gravity is None:
         level = [sign * axis for axis in np.eye(3)[::-1] for sign in (1.0, -1.0)]
     else:
@@ -203,11 +255,20 @@ def _upwards(model: Kernel, places: Floats) -> list[Floats]:
     _, extents, axes = np.linalg.svd(places - places.mean(axis=0))
     if extents[1] > RTOL * extents[0] >= extents[2]:  # it moves in a plane, such as a slope
         return [*level, axes[2], -axes[2]]
+    if axis is not None and extents[0] > RTOL * states.size and extents[1] <= RTOL * extents[0]:
+        across = np.cross(states.rotations[0, body] @ axis, axes[0])  # it moves along a line, beside a wheel's axis
+        return [*level, across, -across]
     return level
 
 
 def _wheels(
-    states: States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
+    states: States,
+    body: int,
+    center: int,
+    point: int,
+    fixed: NDArray[np.bool_],
+    up: Floats,
+    fixed_axis: Floats | None,
 ) -> Iterator[tuple[Contact, float]]:
     """How a point may be the contact point of a body, if it is, and how far the wheel turns past it."""
     rotations = states.rotations[:, body]
@@ -219,7 +280,8 @@ def _wheels(
         local = np.einsum("nji,nj->ni", rotations, way)
         if np.linalg.norm(way, axis=1).min() <= 1e3 * RTOL * states.size:
             continue
-        for axis in (*np.eye(3), np.linalg.svd(local)[2][-1]):
+        axes = (*np.eye(3), np.linalg.svd(local)[2][-1]) if fixed_axis is None else (fixed_axis,)
+        for axis in axes:
             along = rotations @ axis
             if np.abs((np.cross(along, up) * way).sum(axis=1)).max() > RTOL * states.size:
                 continue
@@ -232,7 +294,7 @@ def _wheels(
                 columns[:, 1] = 0.0
             (radius, tube), *_ = np.linalg.lstsq(columns, way.ravel(), rcond=None)
             error = np.abs(columns @ (radius, tube) - way.ravel()).max()
-            if radius > 0.0 and error <= RTOL * radius and tube >= -RTOL * radius:
+            if radius > 0.0 and error <= RTOL * radius and -RTOL * radius <= tube < radius:
                 spin = float(np.ptp(local, axis=0).max()) * (1.0 if place == center else 1e-3)
                 tube = 0.0 if tube <= RTOL * radius else float(tube)
                 yield Contact(body, place, point, axis, float(radius), tube, up), spin

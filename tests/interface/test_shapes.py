@@ -185,6 +185,30 @@ def test_disc_on_a_slope_touches_it_and_the_grid_lies_in_it():
     np.testing.assert_allclose(lowest, 0.0, atol=0.0013 * 0.3)
 
 
+def test_disc_that_rolls_down_a_line_is_found():
+    """A planar disc on a slope: the point moves along a line, and the disc rolls."""
+    (x, u), ground = me.dynamicsymbols("x u"), me.ReferenceFrame("N")
+    r, tilt = sm.symbols("r tilt")
+    slope, frame, origin = me.ReferenceFrame("slope"), me.ReferenceFrame("D"), me.Point("O")
+    slope.orient_axis(ground, ground.z, tilt)
+    frame.orient_axis(ground, ground.z, -x / r)
+    frame.set_ang_vel(ground, -u / r * ground.z)
+    origin.set_vel(ground, 0)
+    contact = origin.locatenew("P", x * slope.x)
+    center = contact.locatenew("C", r * slope.y)
+    for point in (contact, center):
+        point.set_vel(ground, u * slope.x)
+    system = System(ground, origin)
+    system.add_bodies(me.RigidBody("disc", center, frame, M, (me.inertia(frame, 1, 1, 2), center)))
+    system.q_ind, system.u_ind = [x], [u]
+    system.add_kdes(u - x.diff())
+    system.apply_uniform_gravity(-G * ground.y)
+    values = {"m": 1.0, "g": 9.81, "r": 0.3, "tilt": -0.2}
+    model = fb.compile_model(fb.Model(system, name="down", parameters=values, points=[contact]))
+    [shape] = model.shapes["disc"]
+    assert (type(shape), shape.radius, shape.at) == (fb.Disc, "r", "C")
+
+
 def test_wheels_have_the_radius_that_is_a_parameter(bicycle, disc):
     assert bicycle.shapes["front wheel"] == (fb.Wheel("rf", at="fo", axis=(0.0, 1.0, 0.0)),)
     assert bicycle.shapes["rear wheel"] == (fb.Wheel("rr", at="do", axis=(0.0, 1.0, 0.0)),)
@@ -217,7 +241,9 @@ def test_coordinates_and_speeds_belong_to_the_bodies_that_they_move(bicycle):
     assert moved_bodies(bicycle.kernel, parameter_array(bicycle.kernel, None)) == expected
 
 
-def test_cart_under_the_pivot_of_its_pole_is_no_contact_point():
+@pytest.mark.parametrize("mass_at", ["below", "pivot"])
+def test_point_under_the_pivot_of_a_pole_is_no_contact_point(mass_at):
+    """Neither the mass of a cart nor, without a mass, a point on its rail."""
     (x, angle, v, w), height = me.dynamicsymbols("x angle v w"), sm.Symbol("h")
     ground, frame, origin = me.ReferenceFrame("N"), me.ReferenceFrame("B"), me.Point("O")
     frame.orient_axis(ground, ground.y, angle)
@@ -231,11 +257,12 @@ def test_cart_under_the_pivot_of_its_pole_is_no_contact_point():
     center.v2pt_theory(pivot, ground, frame)
     system = System(ground, origin)
     pole = me.RigidBody("pole", center, frame, M, (me.inertia(frame, 0.1, 0.1, 0.1), center))
-    system.add_bodies(me.Particle("cart", cart, M), pole)
+    system.add_bodies(me.Particle("cart", cart if mass_at == "below" else pivot, M), pole)
     system.q_ind, system.u_ind = [x, angle], [v, w]
     system.add_kdes(v - x.diff(), w - angle.diff())
     system.apply_uniform_gravity(-G * ground.z)
-    model = fb.compile_model(fb.Model(system, name="post", parameters={"m": 1.0, "g": 9.81, "l": 0.5, "h": 0.3}))
+    values = {"m": 1.0, "g": 9.81, "l": 0.5, "h": 0.3}
+    model = fb.compile_model(fb.Model(system, name="post", parameters=values, points=[cart]))
     assert [type(shape) for shape in model.shapes["pole"]] == [fb.Line]
 
 
@@ -521,6 +548,35 @@ def test_gltf_has_the_points_and_bodies_where_they_are(make, tmp_path):
         assert scene.bounds[0][1] == pytest.approx(0.0, abs=1e-3)
     text = json.loads(run.save(tmp_path / "run.gltf").read_text())
     assert text["buffers"][0]["uri"].startswith("data:")
+
+
+def test_rods_between_points_that_part_reach_them(tmp_path):
+    """A mass on a turning rod, along which it slides: x'' = w^2 x."""
+    (x, angle, v, w), ground = me.dynamicsymbols("x angle v w"), me.ReferenceFrame("N")
+    rod, origin = me.ReferenceFrame("B"), me.Point("O")
+    rod.orient_axis(ground, ground.z, angle)
+    rod.set_ang_vel(ground, w * ground.z)
+    origin.set_vel(ground, 0)
+    mass = origin.locatenew("mass_point", x * rod.x)
+    mass.set_vel(ground, v * rod.x + x * w * rod.y)
+    system = System(ground, origin)
+    system.add_bodies(me.Particle("mass", mass, 1))
+    system.q_ind, system.u_ind = [x, angle], [v, w]
+    system.add_kdes(v - x.diff(), w - angle.diff())
+    shapes = {"mass": fb.Line(points=("O", "mass_point"), radius=0.02)}
+    run = fb.compile_model(fb.Model(system, name="parting", shapes=shapes)).simulate((0.0, 1.0), [0.3, 0.0, 0.5, 1.0])
+    drawn = frames_of(run, lambda start, end: np.linspace(start, end, 61)).scene
+    ends = [drawn.positions[drawn.names.index(name)] for name in ("O", "mass_point")]
+    distance = np.linalg.norm(ends[1] - ends[0], axis=0)
+    assert np.ptp(distance) > 0.2
+    [solid] = drawn.solids
+    np.testing.assert_allclose(solid.stretch(drawn.positions) * solid.length, distance, rtol=1e-14)
+    content = run.save(tmp_path / "parting.glb").read_bytes()
+    size = struct.unpack("<I", content[12:16])[0]
+    gltf = json.loads(content[20 : 20 + size])
+    [number] = (number for number, node in enumerate(gltf["nodes"]) if "mesh" in node)
+    scales = animated(gltf, content[28 + size :], number, "scale")
+    np.testing.assert_allclose(scales[:, 2] * solid.length, distance, rtol=1e-6)  # single precision
 
 
 def test_gltf_without_its_package_is_refused(bicycle, monkeypatch, tmp_path):

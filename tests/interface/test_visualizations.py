@@ -121,6 +121,46 @@ def test_several_shapes_of_a_frame_and_frames_that_nothing_else_needs():
     assert [shape.x for shape in pendulum.model(frames).shapes["tilted"]] == [0.1, 0.2]
 
 
+def test_bodies_with_one_frame_have_their_own_shapes():
+    """Two sliders in the inertial frame, and a floor, which is neither's."""
+    frame, origin = me.ReferenceFrame("N"), me.Point("O")
+    (x, y, u, v) = me.dynamicsymbols("x y u v")
+    origin.set_vel(frame, 0)
+    centers = [origin.locatenew(name, way * frame.x + frame.z) for name, way in (("G1", x), ("G2", y))]
+    for point, speed in zip(centers, (u, v), strict=True):
+        point.set_vel(frame, speed * frame.x)
+    inertia = me.inertia(frame, 1, 1, 1)
+    first, second = (
+        me.RigidBody(f"slider{n}", center, frame, M, (inertia, center)) for n, center in enumerate(centers, 1)
+    )
+    system = me.System(frame, origin)
+    system.add_bodies(first, second)
+    system.q_ind, system.u_ind = [x, y], [u, v]
+    system.add_kdes(u - x.diff(), v - y.diff())
+    cubes = [VisualizationFrame(body, pydy_shapes.Cube(0.1 * n)) for n, body in enumerate((first, second), 1)]
+    floor = VisualizationFrame(frame, origin, pydy_shapes.Plane(3.0, 3.0))
+    model = fb.compile_model(fb.Model(system, name="sliders", parameters={"m": 1.0}, shapes=[*cubes, floor]))
+    run = model.simulate((0.0, 1.0), [0.2, 0.5, 1.0, -1.0])
+    scene = frames_of(run, lambda start, end: np.array([start, end])).scene
+    places = {
+        solid.name: (scene.view.turn.T @ solid.placed(scene.positions, scene.rotations)[0]).round(9).T.tolist()
+        for solid in scene.solids
+    }
+    assert places == {
+        "slider1": [[0.2, 0, 1], [1.2, 0, 1]],
+        "slider2": [[0.5, 0, 1], [-0.5, 0, 1]],
+        "N": [[0, 0, 0], [0, 0, 0]],
+    }
+
+
+def test_frames_of_one_name_are_refused():
+    pendulum = DoublePendulum()
+    frames = [frame.orientnew("turned", "Axis", [0.3, pendulum.N.z]) for frame in (pendulum.A, pendulum.B)]
+    shapes = [VisualizationFrame(frame, pendulum.P, pydy_shapes.Cube(0.1)) for frame in frames]
+    with pytest.raises(fb.ModelError, match="A frame with a shape is called turned, as another frame or body is"):
+        pendulum.model(shapes)
+
+
 @pytest.mark.parametrize(
     ("shapes", "message"),
     [

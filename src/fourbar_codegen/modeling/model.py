@@ -238,9 +238,9 @@ class Model:
     shapes : mapping of body, ReferenceFrame or str to shape or sequence of shapes, optional
         What bodies look like in pictures in space: `Sphere`, `Box`, `Cylinder`, `Wheel`, `Mesh` and others. Wheels,
         limbs and other bodies have shapes by themselves; these replace them, and an empty list hides a body. Sizes
-        may be parameters. They compile nothing. Shapes of pydy.viz are taken as well, a list of its visualization
-        frames or its Scene in place of the mapping, and a scene of symmeplot for its lines, such as
-        ``Plotter.from_model(bicycle)`` of SymBRiM.
+        may be parameters that the equations have. They compile nothing. Shapes of pydy.viz are taken as well (with the
+        colours that have a name here), a list of its visualization frames or its Scene in place of the mapping, and a
+        scene of symmeplot for its lines, such as ``Plotter.from_model(bicycle)`` of SymBRiM.
     extra : {"raise", "ignore"}, optional
         What to do with parameters and inputs that the System does not contain. A symbol or function of the same name
         with different assumptions, such as ``positive=True``, is always an error.

@@ -24,6 +24,9 @@ Floats = NDArray[np.float64]
 RATE = 60.0
 """Keyframes per second; viewers interpolate between them."""
 
+STRETCHED = 1e-6
+"""Least change of a rod's length that is animated, relative to it: rods between joints have rounding errors."""
+
 Y_UP = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """From coordinates whose z axis points upwards to those of glTF."""
 
@@ -99,6 +102,11 @@ def gltf_of(trajectory: Trajectory) -> Any:
         node = node_of(solid.name, back @ places, mesh=len(gltf.meshes) - 1, rotation=turns[0].tolist())
         if np.ptp(turns, axis=0).any():
             animate(node, "rotation", turns, library.VEC4)
+        scales = np.ones((len(times), 3))
+        scales[:, 2] = _held(solid.stretch(scene.positions)[:, np.newaxis])[:, 0]
+        if np.abs(scales - 1.0).max() > STRETCHED:
+            gltf.nodes[node].scale = scales[0].tolist()
+            animate(node, "scale", scales, library.VEC3)
         gltf.nodes[0].children.append(node)
     if animation.channels:
         gltf.animations.append(animation)

@@ -267,6 +267,7 @@ class Scene:
         low, high = [*points], [*points]
         for solid in self.solids:
             places, rotations = solid.placed(self.positions, self.rotations)
+            rotations[:, 2] *= solid.stretch(self.positions)
             corners = np.einsum("ijt,nj->nit", rotations, solid.corners) + places
             low += [*corners]
             high += [*corners]

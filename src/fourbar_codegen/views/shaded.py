@@ -97,14 +97,15 @@ def _faces(drawn: Scene, reader: Floats, up: Floats, light: Floats) -> Callable[
     colors = importlib.import_module("matplotlib.colors")
     tones = [np.array(colors.to_rgb(solid.color)) for solid in drawn.solids]
     placed = [solid.placed(drawn.positions, drawn.rotations) for solid in drawn.solids]
+    stretched = [solid.stretch(drawn.positions) for solid in drawn.solids]
 
     def triangles(instant: int) -> tuple[Floats, Floats]:
         corners, shades = [np.zeros((0, 3, 3))], [np.zeros((0, 3))]
-        for solid, tone, (places, rotations) in zip(drawn.solids, tones, placed, strict=True):
+        for solid, tone, (places, rotations), longer in zip(drawn.solids, tones, placed, stretched, strict=True):
             rotation, faces = rotations[:, :, instant], solid.mesh.faces
             outwards = (solid.mesh.normals @ rotation.T)[faces].mean(axis=1)
             seen = outwards @ reader > 0.0
-            vertices = solid.mesh.vertices @ rotation.T + places[:, instant]
+            vertices = solid.mesh.vertices * (1.0, 1.0, longer[instant]) @ rotation.T + places[:, instant]
             corners.append(vertices[faces[seen]])
             bright = AMBIENT + DIFFUSE * np.maximum(outwards[seen] @ light, 0.0) + HEMISPHERE * (outwards[seen] @ up)
             shades.append(np.clip(bright[:, np.newaxis] * tone, 0.0, 1.0))

@@ -94,6 +94,13 @@ class Solid:
     length: float = 0.0
     changes: tuple[Change, ...] = ()
 
+    def stretch(self, positions: Floats) -> Floats:
+        """How much longer it is along its z axis than its mesh, shape (n_t,); rods between points may change."""
+        if self.to is None:
+            return np.ones(positions.shape[2])
+        lengths = np.linalg.norm(positions[self.to] - positions[self.row], axis=0)
+        return np.asarray(lengths / self.length if self.length else np.ones_like(lengths))
+
     @property
     def corners(self) -> Floats:
         """The corners of the box about it along its own axes, shape (8, 3)."""

@@ -207,7 +207,7 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
             if axis is not None and not axis.any():
                 continue
             for up in _upwards(model, states, body, point, axis):
-                for found, spin in _wheels(states, body, center, point, fixed[body], up, axis):
+                for found, spin in _wheels(states, body, center, point, fixed[body], up):
                     if axis is not None and not _rolls(model, states, found):
                         continue
                     if spin > best.get(point, (0.0, None))[0]:
@@ -262,16 +262,10 @@ def _upwards(model: Kernel, states: States, body: int, point: int, axis: Floats 
 
 
 def _wheels(
-    states: States,
-    body: int,
-    center: int,
-    point: int,
-    fixed: NDArray[np.bool_],
-    up: Floats,
-    fixed_axis: Floats | None,
+    states: States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
 ) -> Iterator[tuple[Contact, float]]:
     """How a point may be the contact point of a body, if it is, and how far the wheel turns past it."""
-    rotations = states.rotations[:, body]
+    rotations, fixed_axis = states.rotations[:, body], states.axis(body)
     # The wheel's centre: its mass centre, or another point of the body, which cannot spin as fast as a wheel does.
     for place in (center, *(k for k in np.flatnonzero(fixed).tolist() if k != center)):
         if not (states.goes(point) or states.goes(place)):

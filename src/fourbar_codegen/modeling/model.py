@@ -386,11 +386,16 @@ class Model:
         of_frame[frames[0].name] = ground
         names = dict.fromkeys([*(body.name for body in bodies), *(frame.name for frame in frames)])
         found: dict[str, tuple[BodyShape, ...]] = {}
+
+        def body_of(name: str) -> str:
+            return name if name in self._bodies() else of_frame.get(name, name)
+
         shapes = {**seen.shapes}
         for (name, point), placed in zip(self.mechanism.placed, seen.placed, strict=True):
-            shapes[name] = (*shapes.get(name, ()), replace(placed.shape, at=point))
+            body = body_of(name)
+            shapes[body] = (*shapes.get(body, ()), replace(placed.shape, at=point))
         for name, of_body in named_shapes(shapes, names).items():
-            body = of_frame.get(name, name) if name not in self._bodies() else name
+            body = body_of(name)
             if body in found or self._bodies().count(body) > 1:
                 raise ModelError(f"Shapes are given twice for {body}, or two bodies have this name.")
             found[body] = of_body

@@ -138,13 +138,11 @@ def read_mechanism(
 
 
 def _owner(placed: Placed, description: _Description) -> str:
-    """The name of the body that a shape belongs to: its own mass centre is there, or it alone has the frame."""
-    of_frame = [body for body in description.bodies if getattr(body, "frame", description.frame) is placed.frame]
-    for body in of_frame:
-        if placed.point is body.masscenter:
+    """The name of the body with the frame whose mass centre is there, or else of the frame."""
+    for body in description.bodies:
+        if getattr(body, "frame", description.frame) is placed.frame and placed.point is body.masscenter:
             return str(body.name)
-    is_alone = len(of_frame) == 1 and placed.frame is not description.frame
-    return str(of_frame[0].name if is_alone else placed.frame.name)
+    return str(placed.frame.name)
 
 
 def _check_frames(

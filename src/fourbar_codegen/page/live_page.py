@@ -422,7 +422,7 @@ def _panels(run: Trajectory) -> list[dict[str, Any]]:
             columns = columns[:1]
         if columns and not (is_logarithmic and not model.n_c + len(model.layout.constraints.invariants)):
             is_open = not panels or (title == ENERGY and has_energy)
-            of_curves = [bodies.get(name, "") for name in names if bodies.keys() & {*names}]
+            of_curves = [bodies.get(name, "") for name in names]
             panels.append(
                 {"title": title, "log": is_logarithmic, "columns": columns, "open": bool(is_open), "bodies": of_curves}
             )

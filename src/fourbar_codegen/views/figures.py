@@ -414,7 +414,7 @@ def plot_modes(modes: AssemblyModes) -> Figure:
         p=parameter_array(model, modes.parameters),
         given=given_shapes(model),
     )
-    figure, cells = _figure(len(states), drawn.view if drawn.is_planar else replace(drawn.view, is_planar=True))
+    figure, cells = _figure(len(states), replace(drawn.view, is_planar=True))
     figure.suptitle(
         f"{model.name}: {len(modes)} assembly modes"
         + ("" if modes.is_complete else " of infinitely many" if modes.free else ", or more")

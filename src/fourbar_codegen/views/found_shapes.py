@@ -195,19 +195,26 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     """
     if len(states.points) < 2:
         return ()
-    fixed = {body: states.fixed(body, center) for body, center in states.bodies}
+    candidates = [
+        _Candidate(body, center, states.fixed(body, center), states.axis(body)) for body, center in states.bodies
+    ]
     best: dict[int, tuple[float, Contact]] = {}
     for point, entry in enumerate(model.layout.drawing.points[: len(model.points)]):
+        places = states.points[:, point]
         if entry.body is not None:
             continue  # a mass, such as a cart under the pivot of its pole
-        if any(of_body[point] for of_body in fixed.values()) or not np.isfinite(states.points[:, point]).all():
+        if any(candidate.fixed[point] for candidate in candidates) or not np.isfinite(places).all():
             continue
-        for body, center in states.bodies:
-            axis = states.axis(body)
+        normals, line = _grounds(model, places, states.size)
+        for candidate in candidates:
+            axis, across = candidate.axis, []
             if axis is not None and not axis.any():
                 continue
-            for up in _upwards(model, states, body, point, axis):
-                for found, spin in _wheels(states, body, center, point, fixed[body], up):
+            if axis is not None and line is not None:  # the point moves along a line, beside the axis of a wheel
+                normal = np.cross(states.rotations[0, candidate.body] @ axis, line)
+                across = [normal, -normal]
+            for up in (*normals, *across):
+                for found, spin in _wheels(states, candidate, point, up):
                     if axis is not None and not _rolls(model, states, found):
                         continue
                     if spin > best.get(point, (0.0, None))[0]:
@@ -216,6 +223,16 @@ def contacts(model: Kernel, states: States) -> tuple[Contact, ...]:
     for _, contact in best.values():
         taken.setdefault(contact.body, contact)
     return tuple(taken.values())
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A body that may be a wheel: its number and mass centre, the points fixed on it, and `States.axis`."""
+
+    body: int
+    center: int
+    fixed: NDArray[np.bool_]
+    axis: Floats | None
 
 
 def _rolls(model: Kernel, states: States, wheel: Contact) -> bool:
@@ -245,37 +262,33 @@ def _rolls(model: Kernel, states: States, wheel: Contact) -> bool:
     return moved
 
 
-def _upwards(model: Kernel, states: States, body: int, point: int, axis: Floats | None) -> list[Floats]:
-    """Normals that the ground may have under a point."""
-    places, gravity = states.points[:, point], model.layout.drawing.gravity
+def _grounds(model: Kernel, places: Floats, size: float) -> tuple[list[Floats], Floats | None]:
+    """Normals that the ground may have under a point with places of shape (n_states, 3), and its line if it has one."""
+    gravity = model.layout.drawing.gravity
     if gravity is None:
         level = [sign * axis for axis in np.eye(3)[::-1] for sign in (1.0, -1.0)]
     else:
         level = [-np.array(gravity, dtype=float) / np.linalg.norm(gravity)]
     _, extents, axes = np.linalg.svd(places - places.mean(axis=0))
     if extents[1] > RTOL * extents[0] >= extents[2]:  # it moves in a plane, such as a slope
-        return [*level, axes[2], -axes[2]]
-    if axis is not None and extents[0] > RTOL * states.size and extents[1] <= RTOL * extents[0]:
-        across = np.cross(states.rotations[0, body] @ axis, axes[0])  # it moves along a line, beside a wheel's axis
-        return [*level, across, -across]
-    return level
+        return [*level, axes[2], -axes[2]], None
+    return level, np.asarray(axes[0]) if extents[0] > RTOL * size and extents[1] <= RTOL * extents[0] else None
 
 
-def _wheels(
-    states: States, body: int, center: int, point: int, fixed: NDArray[np.bool_], up: Floats
-) -> Iterator[tuple[Contact, float]]:
+def _wheels(states: States, candidate: _Candidate, point: int, up: Floats) -> Iterator[tuple[Contact, float]]:
     """How a point may be the contact point of a body, if it is, and how far the wheel turns past it."""
-    rotations, fixed_axis = states.rotations[:, body], states.axis(body)
+    body, center = candidate.body, candidate.center
+    rotations = states.rotations[:, body]
     # The wheel's centre: its mass centre, or another point of the body, which cannot spin as fast as a wheel does.
-    for place in (center, *(k for k in np.flatnonzero(fixed).tolist() if k != center)):
+    for place in (center, *(k for k in np.flatnonzero(candidate.fixed).tolist() if k != center)):
         if not (states.goes(point) or states.goes(place)):
             continue  # pins on the ground
         way = states.points[:, point] - states.points[:, place]
         local = np.einsum("nji,nj->ni", rotations, way)
         if np.linalg.norm(way, axis=1).min() <= 1e3 * RTOL * states.size:
             continue
-        axes = (*np.eye(3), np.linalg.svd(local)[2][-1]) if fixed_axis is None else (fixed_axis,)
-        for axis in axes:
+        own = (*np.eye(3), np.linalg.svd(local)[2][-1]) if candidate.axis is None else (candidate.axis,)
+        for axis in own:
             along = rotations @ axis
             if np.abs((np.cross(along, up) * way).sum(axis=1)).max() > RTOL * states.size:
                 continue
@@ -297,7 +310,6 @@ def _wheels(
 
 def found_shapes(
     model: Kernel,
-    p: Floats,
     states: States,
     size: float,
     on_ground: Sequence[Contact],
@@ -308,9 +320,7 @@ def found_shapes(
     Parameters
     ----------
     model : Kernel
-    p : ndarray, shape (n_p,)
     states : States
-        With these parameters.
     size : float
         That of the longest link, m.
     on_ground : sequence of Contact
@@ -326,7 +336,7 @@ def found_shapes(
     found: dict[str, tuple[BodyShape, ...]] = {}
     drawing = model.layout.drawing
     for contact in on_ground:
-        name, radius = drawing.bodies[contact.body], _named(model, p, contact)
+        name, radius = drawing.bodies[contact.body], _named(model, states.p, contact)
         at, axis = drawing.points[contact.center].name, _three(contact.axis)
         others = [(body, centre) for body, centre in states.bodies if body != contact.body]
         is_held = any(states.fixed(body, centre)[contact.center] for body, centre in others)
@@ -340,7 +350,7 @@ def found_shapes(
             found[name] = (Disc(radius, THIN * contact.radius, at=at, axis=axis),)
     touching = {drawing.points[contact.point].name for contact in on_ground}
     wheels, counts = {*found}, Counter(name for name, *_ in edges)
-    masses, inertias = model.mass_properties(0.0, np.zeros(model.n_x), p, np.zeros(model.n_r))
+    masses, inertias = model.mass_properties(0.0, np.zeros(model.n_x), states.p, np.zeros(model.n_r))
     mass_of = dict(zip(drawing.bodies, np.nan_to_num(masses), strict=True))
     for link, length, *ends in edges:
         # Bodies without mass, as in the frames between joints, give a link no name if others do.

@@ -57,7 +57,7 @@ def scene_data(scene: Scene, arrows: Mapping[int, int], scale: float, *, is_live
         "planar": scene.is_planar,
         "arrows": list(arrows.items()),
         "points": [
-            {"name": name, "body": body, "traced": row in traced, "holder": scene.holders[row] if scene.holders else ""}
+            {"name": name, "body": body, "traced": row in traced, "holder": scene.holders[row]}
             for row, (name, body) in enumerate(zip(scene.names, scene.bodies, strict=True))
         ],
         "lines": [{"kind": line.kind, "rows": line.rows, "closed": line.is_closed} for line in scene.lines],

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fourbar_codegen.kernel.kernel import Kernel
+from fourbar_codegen.views.found_shapes import random_states
 
 __all__ = ["moved_bodies"]
 
@@ -34,17 +35,19 @@ def moved_bodies(model: Kernel, p: Floats) -> dict[str, str]:
         Of a coordinate, the body that moves with it and with the fewest others: that at the end of its joint. Of a
         speed, that of the coordinates whose rates it changes. Those that move nothing that is drawn are left out.
     """
-    generator = np.random.default_rng(0)
-    state = generator.uniform(-1.0, 1.0, model.n_x)
+    random = random_states(model, p)
+    if not len(random.t):
+        return {}
+    t, state, inputs = random.t[0], random.x[:, 0], random.r[:, 0]
     states = np.repeat(state[:, np.newaxis], 1 + model.n_q, axis=1)
     states[np.arange(model.n_q), 1 + np.arange(model.n_q)] += STEP
-    inputs = generator.uniform(-1.0, 1.0, model.n_r)
-    columns = np.zeros(1 + model.n_q), states, np.repeat(inputs[:, np.newaxis], 1 + model.n_q, axis=1), p
+    columns = np.full(1 + model.n_q, t), states, np.repeat(inputs[:, np.newaxis], 1 + model.n_q, axis=1), p
     positions, rotations = model.drawing_along(*columns)[0], model.orientations_along(*columns)
-    size = np.nanmax(np.abs(positions), initial=0.0) or 1.0
     moves: dict[str, NDArray[np.bool_]] = {}
     drawing = model.layout.drawing
-    entries = [(point.body, place / size) for point, place in zip(drawing.points, positions, strict=True) if point.body]
+    entries = [
+        (point.body, place / random.size) for point, place in zip(drawing.points, positions, strict=True) if point.body
+    ]
     named = {name for name, _ in entries}  # not frames, nor bodies without mass
     turns = zip(drawing.bodies, rotations, strict=True)
     entries += [(name, turn.reshape(9, -1)) for name, turn in turns if name in named]
@@ -58,6 +61,6 @@ def moved_bodies(model: Kernel, p: Floats) -> dict[str, str]:
 
     found = {name: body_of([number]) for number, name in enumerate(model.coordinates)}
     for number, name in enumerate(model.speeds):
-        rates = model.coordinate_change(0.0, state, np.eye(model.n_u)[number], p, inputs)
+        rates = model.coordinate_change(t, state, np.eye(model.n_u)[number], p, inputs)
         found[name] = body_of(np.flatnonzero(np.nan_to_num(rates)))
     return {name: body for name, body in found.items() if body is not None}

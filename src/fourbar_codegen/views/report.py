@@ -101,7 +101,7 @@ def _plots(shown: Trajectory) -> list[dict[str, Any]]:
             "title": panel.title,
             "log": panel.is_logarithmic,
             "open": panel.is_open,
-            "bodies": [panel.bodies.get(name, "") for name in panel.curves if panel.bodies],
+            "bodies": [panel.bodies.get(name, "") for name in panel.curves],
             "curves": [
                 {"name": name, "values": packed(np.log10(values) if panel.is_logarithmic else values)}
                 for name, values in panel.curves.items()

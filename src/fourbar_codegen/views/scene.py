@@ -395,7 +395,7 @@ def scene(
     still = [point for point in masses if np.ptp(positions[point], axis=1).max(initial=0.0) <= PLANAR * size]
     symbols += [Symbol("mass", point) for point in masses if point not in still or len(still) == len(masses)]
     bodies = tuple(entry.body for entry in entries[: len(model.points)])
-    held = () if states is None else bodies_of_points(model, states)
+    held = ("",) * len(model.points) if states is None else bodies_of_points(model, states)
     found = Scene(model.points, bodies, np.array(rows), tuple(lines), tuple(symbols), size, view, unit, holders=held)
     if view.is_planar or rotations is None or p is None or states is None:
         return found
@@ -403,7 +403,7 @@ def scene(
     touching = tuple(contact.point for contact in on_ground)
     axes = _level(view.turn @ on_ground[0].up) if on_ground else np.eye(3)
     found = replace(found, contacts=touching, ground_axes=axes, tips=tips)
-    bodies_of = found_shapes(model, p, states, longest, on_ground, _edges(model, positions, size))
+    bodies_of = found_shapes(model, states, longest, on_ground, _edges(model, positions, size))
     return _with_bodies(found, model, p, rotations, bodies_of, given or {})
 
 
